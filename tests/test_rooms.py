@@ -20,7 +20,7 @@ ROOMS = (
     "words", "files", "processors", "interrupt", "html", "pick", "declare", "terms", "gradients", "plan", "schemes", "schur",
     "outcome", "events", "discretise", "engine", "checks", "signals", "results", "importers", "audit", "fmu",
     "network", "network.scene",
-    "network.members", "network.interface", "network.impulses", "network.couplings",
+    "network.members", "network.interface", "network.impulses", "network.couplings", "network.as_unit",
     "runs", "network.check_scene", "ssp", "operating", "components", "arguments", "target", "report",
     "sweeps", "studies", "cli",
 )  # fmt: skip

@@ -35,6 +35,8 @@ CAPABILITIES = {
     "canSerializeFMUstate": "true",
     "providesDirectionalDerivative": "true",
 }
+#: where the unit tells no derivatives
+UNDERIVED = {"providesDirectionalDerivative": "false"}
 
 
 #: kinds of the status of a step
@@ -47,7 +49,7 @@ def model_description(
     """The document; without `token` (attribute, value) it is the text the token is made of.  `sources`: files to compile."""
     root = description.root(unit, number, token)
     interface = etree.SubElement(root, "CoSimulation", modelIdentifier=unit.identifier, needsExecutionTool="false")
-    for name, value in CAPABILITIES.items():
+    for name, value in (CAPABILITIES | ({} if unit.derives else UNDERIVED)).items():
         interface.set(name, value)
     if sources:
         files = etree.SubElement(interface, "SourceFiles")

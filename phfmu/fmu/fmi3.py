@@ -30,6 +30,8 @@ CAPABILITIES = {
     "canReturnEarlyAfterIntermediateUpdate": "false",
     "hasEventMode": "false",
 }
+#: where the unit tells no derivatives
+UNDERIVED = dict.fromkeys(("providesDirectionalDerivatives", "providesAdjointDerivatives"), "false")
 
 
 def model_description(
@@ -42,7 +44,7 @@ def model_description(
     del sources
     root = description.root(unit, number, token)
     interface = etree.SubElement(root, "CoSimulation", modelIdentifier=unit.identifier, needsExecutionTool="false")
-    for name, value in CAPABILITIES.items():
+    for name, value in (CAPABILITIES | ({} if unit.derives else UNDERIVED)).items():
         interface.set(name, value)
     description.add_units(root, unit)
     description.add_log_categories(root)

@@ -279,4 +279,4 @@ class Network:
                     )
 
     def _free_name(self, ends: tuple[End, ...]) -> str:
-        return "_".join(f"{e.member}_{e.port}" for e in ends)
+        return "_".join(f"{e.member}_{e.port}" for e in ends).replace(".", "_")

@@ -299,11 +299,11 @@ class System:
         """
         stand_in = {end: s for end, s in self.specified.items() if not isinstance(s, Load)}
         names = {end.member for end in stand_in}
-        kept = {
+        kept = [
             name
             for name, e in self.kind_of.items()
             if name not in names and all(three_phase(p) for p, _ in e.ports if p.source is None)
-        }
+        ]
         rows: list[int] = []
         columns: list[int] = []
         for name in kept:

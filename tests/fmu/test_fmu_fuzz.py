@@ -13,6 +13,7 @@ from phfmu import Scene, build_model, export
 from phfmu.components.library import build
 from phfmu.fmu.export import sources
 from phfmu.fmu.importer.archive import open_archive
+from phfmu.network.as_unit.export import export_network
 from phfmu.schemes.collocated import Collocated
 from tests.fmu.exported import SANITIZE
 
@@ -60,12 +61,29 @@ def test_calls_without_rules_between_those_of_simulations(
     assert accepted["step"] > 3000, "steps get through"
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "version"), [("oscillator", "2.0"), ("speed_control", "3.0"), ("smib", "2.0")])
+def test_calls_without_rules_of_coupled_members(sanitizers: str, tmp_path: Path, name: str, version: str) -> None:
+    scene = build(name)
+    schemes = dict.fromkeys(scene.system.declared, Collocated(2))
+    for lively in (0, 8):
+        folder = tmp_path / str(lively)
+        (path,) = export_network(scene.system, folder, schemes, (version,), step=scene.step)
+        accepted = answered(sanitizers, folder, path, version, scene.step, lively)
+        assert accepted["step"] > 0 and accepted["restore"] > 0
+
+
 def called(sanitizers: str, tmp_path: Path, unit: tuple[str, str], how: tuple[Any, float, bool, int]) -> dict[str, int]:
-    """How many calls of each kind were accepted, printed; fails if one read outside of its memory or gave what is not finite."""
+    """As `answered`, for a model of the library."""
     (name, version), (scheme, step, nodes, lively) = unit, how
     found = build(name)
     model = build_model(found.declaration() if isinstance(found, Scene) else found, scheme)
     (path,) = export(model, tmp_path, (version,), step=step, node_inputs=nodes)
+    return answered(sanitizers, tmp_path, path, version, step, lively)
+
+
+def answered(sanitizers: str, tmp_path: Path, path: Path, version: str, step: float, lively: int) -> dict[str, int]:
+    """How many calls of each kind were accepted, printed; fails if one read outside of its memory or gave what is not finite."""
     about = open_archive(path).interface
     with zipfile.ZipFile(path) as archive:
         archive.extractall(tmp_path / "unit")
@@ -81,7 +99,7 @@ def called(sanitizers: str, tmp_path: Path, unit: tuple[str, str], how: tuple[An
         total, *rows = [line.split() for line in done.stdout.splitlines()]
         assert int(total[1]) == calls
         for kind, row in zip(KINDS, rows, strict=True):
-            print(f"{name} {version} seed {seed} {kind:12s} called {row[1]:>8s} refused {row[2]:>8s}")
+            print(f"{path.stem} seed {seed} {kind:12s} called {row[1]:>8s} refused {row[2]:>8s}")
             accepted[kind] += int(row[1]) - int(row[2])
-    print(f"{name} {version}: {len(seeds) * calls} calls, {accepted['step']} steps accepted")
+    print(f"{path.stem}: {len(seeds) * calls} calls, {accepted['step']} steps accepted")
     return accepted

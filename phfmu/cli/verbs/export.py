@@ -55,6 +55,9 @@ def add_parser(verbs: Any) -> None:
                         help="a parameter that may be set between steps, as those of the scene's events may")  # fmt: skip
     parser.add_argument("--events", default="outside", choices=("outside", "inside"),
                         help="outside: the importer sets what the scene's events change; inside: the unit does")  # fmt: skip
+    parser.add_argument("--as-unit", action="store_true",
+                        help="members of a network stay apart in the unit, joined by the Newton coupling inside, each with its "
+                             "scheme (without it they are composed to one model)")  # fmt: skip
     parser.add_argument("--ssp", nargs="?", const=SSP_VERSIONS[0], choices=SSP_VERSIONS, metavar="VERSION",
                         help="a package of SSP (1.0 or 2.0; default 1.0): members as units, parameters, connections")  # fmt: skip
     add_settings(parser)
@@ -80,6 +83,8 @@ def call(args: argparse.Namespace) -> int:
     if args.ssp:
         _require_places(args, s)
         return export_package(args, s)
+    if args.as_unit:
+        return export_apart(args, s)
     if s.units:
         raise ValueError(
             f"{args.target}: a unit holds no FMU, as {', '.join(s.units)} would be; --ssp writes a package of all members, or "
@@ -109,6 +114,49 @@ def call(args: argparse.Namespace) -> int:
                    terminals=not args.no_terminals, left_out=left_out, arrays=args.arrays, outward=args.outward,
                    impulses=args.impulses,
                    tunable=[*args.tunable, *_changed(events, declaration)], events=inside)  # fmt: skip
+    return _said(notes, left_out, paths)
+
+
+def export_apart(args: argparse.Namespace, s: Scene) -> int:
+    """Write units of the coupled members; as `call` in all else."""
+    from phfmu.cli.options import scheme_of
+    from phfmu.cli.settings import settings, with_settings
+    from phfmu.cli.sound import require_sound_scene
+    from phfmu.cli.timeline import started
+    from phfmu.fmu.export.export import PLATFORMS
+    from phfmu.fmu.version import VERSIONS
+    from phfmu.network.as_unit.export import export_network
+    from phfmu.network.network import Network
+    from phfmu.ssp.export import network_of
+
+    if odd := [n for n, on in {"--node-inputs": args.node_inputs, "--impulses": args.impulses}.items() if on]:
+        raise ValueError(f"--as-unit and {odd[0]} do not go together: inputs of the whole are held over a step")
+    if not isinstance(s.system, Network):
+        raise ValueError(f"{args.target} has no members to keep apart; leave out --as-unit")
+    given = settings(args.set)
+    declared = network_of(s).declared
+    known = [f"{m}.{n}" for m, d in declared.items() for n in d.settable_names()]
+    events, notes = started(s.events, given, known)
+    begun = {e.name: e.value for e in events if e.t <= 0.0}
+    s = replace(s, system=with_settings(with_settings(s.system, begun), given))
+    require_sound_scene(args, s)
+    network, events = network_of(s), [e for e in events if e.t > 0.0]
+    parameters = {f"{m}.{n}" for m, d in network.declared.items() for v in d.parameters for n in (v.name, *v.names())}
+    changed = [n for n in dict.fromkeys(e.name for e in events) if n in parameters]
+    inside, left_out = _told(args, events, changed)
+    left_out += [f"{s.restart} damping steps after each event"] if s.restart else []
+    asked = {_short(n): n for n in VERSIONS}
+    paths = export_network(
+        network, args.output, {n: scheme_of(args, d, member=True) for n, d in network.declared.items()},
+        [asked[v] for v in (args.fmi or asked)], step=_require_places(args, s), stop=s.stop,
+        platforms=list(PLATFORMS) if args.all_platforms else args.platform, ledger_outputs=args.outputs == "ledger",
+        terminals=not args.no_terminals, left_out=left_out, arrays=args.arrays, outward=args.outward,
+        tunable=[*args.tunable, *changed], events=inside,
+    )  # fmt: skip
+    return _said(notes, left_out, paths)
+
+
+def _said(notes: Sequence[str], left_out: Sequence[str], paths: Sequence[Path]) -> int:
     for note in notes:
         print(f"phfmu: {note}", file=sys.stderr)
     for line in left_out:
@@ -148,11 +196,18 @@ def _changed(events: Sequence[Event], declaration: PHDAE) -> list[str]:
 
 def _events(args: argparse.Namespace, events: Sequence[Event], declaration: PHDAE) -> tuple[list[UnitEvent], list[str]]:
     """Events for the unit, or a line for each that happens in the importer."""
+    return _told(args, events, _changed(events, declaration))
+
+
+def _told(
+    args: argparse.Namespace, events: Sequence[Event], changed: Sequence[str]
+) -> tuple[list[UnitEvent], list[str]]:
+    """The same; `changed`: parameters that events change, all else are inputs."""
     from phfmu.fmu.export.schedule import UnitEvent
 
     if args.events == "inside":
         return [UnitEvent(e.t, e.name, e.value) for e in events], []
-    tunable = set(_changed(events, declaration))
+    tunable = set(changed)
     what = {True: "set this tunable parameter at that time", False: "set this input at that time"}
     return [], [f"event at t = {e.t:g} s, {e.name} = {e.value:g}: {what[e.name in tunable]}" for e in events]
 

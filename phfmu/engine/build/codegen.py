@@ -139,7 +139,9 @@ def _entry(kernel: Kernel, function: Body, ledger: Body | None) -> tuple[str, st
     return name, include, row
 
 
-def kernel_table(kernels: Iterable[Kernel] | Kernels, schur: SchurStepper | None = None) -> KernelTable:
+def kernel_table(
+    kernels: Iterable[Kernel] | Kernels, schur: SchurStepper | None = None, symbol: str = "ph_the_code"
+) -> KernelTable:
     """C text of the kernels, with the solver of `schur`; repeated or equal ones share an entry."""
     found = kernels if isinstance(kernels, Kernels) else Kernels(kernels)
     bodies: dict[str, Body] = {}
@@ -155,12 +157,13 @@ def kernel_table(kernels: Iterable[Kernel] | Kernels, schur: SchurStepper | None
     text += "\n" + "\n".join(entries[n] for n in sorted(entries))
     text += f"\nstatic const ph_kernel kernels[] = {{\n{rows or NO_ROW}}};\n"
     text += NO_STEPPER if schur is None else stepper_text(schur, schur_text(schur, "small_tables"))
-    text += f"PH_API const ph_code ph_the_code = {{{found.token:#x}ULL, {len(found.members)}, kernels, &ph_schur_solver}};\n"
+    text += f"PH_API extern const ph_code {symbol};\n"
+    text += f"const ph_code {symbol} = {{{found.token:#x}ULL, {len(found.members)}, kernels, &ph_schur_solver}};\n"
     return KernelTable(text, found)
 
 
-def port_text(kernels: PortKernels) -> str:
-    """ports.c: `ph_the_ports`, a ph_ports."""
+def port_text(kernels: PortKernels, symbol: str = "ph_the_ports") -> str:
+    """ports.c: a ph_ports."""
     made = [body(f) for f in (kernels.shift, kernels.jump, kernels.tangent)]
     text = HEAD.replace("values with Jacobians, and ledgers", "impulses at ports").replace('"plan.h"', '"impulses.h"')
     forms = kernels.forms
@@ -171,7 +174,7 @@ def port_text(kernels: PortKernels) -> str:
         + f"\nstatic const ph_function functions[] = {{\n{''.join(map(_row, made))}}};\n"
         + _ints("pairs", forms.pairs)
         + _ints("states", forms.states)
-        + f"\nPH_API extern const ph_ports ph_the_ports;\nconst ph_ports ph_the_ports = {{{', '.join(map(str, members))}}};\n"
+        + f"\nPH_API extern const ph_ports {symbol};\nconst ph_ports {symbol} = {{{', '.join(map(str, members))}}};\n"
     )
 
 
@@ -179,9 +182,9 @@ def _ints(name: str, values: Sequence[int]) -> str:
     return f"\nstatic const int {name}[] = {{{', '.join(map(str, values))}}};\n"
 
 
-def tangent_text(table: KernelTable, *plans: Plan) -> str:
+def tangent_text(table: KernelTable, *plans: Plan, symbol: str = "ph_tangents") -> str:
     """tangents.c: a row for each kernel of the table; those that the rows of `plans` do not need have none."""
-    return function_table(tangents(table.kernels, *plans), "ph_tangents")
+    return function_table(tangents(table.kernels, *plans), symbol)
 
 
 def tangents(kernels: Kernels, *plans: Plan) -> list[ca.Function | None]:
@@ -199,7 +202,7 @@ def function_table(functions: Sequence[ca.Function | None], symbol: str) -> str:
     return (
         text
         + (functions_text(bodies, called=True) if bodies else "")
-        + f"\nPH_API const ph_function {symbol}[] = {{\n{rows}}};\n"
+        + f"\nPH_API extern const ph_function {symbol}[];\nconst ph_function {symbol}[] = {{\n{rows}}};\n"
     )
 
 

@@ -35,11 +35,12 @@ HEADERS = ("schur/schur.h", "plan.h", "events/events.h", "modes/modes.h", "inter
 
 @dataclass(frozen=True)
 class Field:
-    """One member of a C structure; `pointer`: to constants of type `ctype`."""
+    """One member of a C structure; `pointer`: to what is of type `ctype`, and `constant` if nobody writes there."""
 
     name: str
     ctype: str
     pointer: bool
+    constant: bool = True
 
 
 @lru_cache(maxsize=1)
@@ -55,9 +56,9 @@ def declared(header: str, names: Sequence[str]) -> dict[str, tuple[Field, ...]]:
     for name, body in re.findall(r"typedef struct (\w+) \{(.*?)\} \1;", text, flags=re.S):
         fields = []
         for line in body.split(";"):
-            match = re.fullmatch(r"\s*(?:const )?([a-z_0-9]+(?: char)?) ?(\*?)(\w+(?:, \w+)*)\s*", line)
+            match = re.fullmatch(r"\s*(const )?([a-z_0-9]+(?: char)?) ?(\*?)(\w+(?:, \w+)*)\s*", line)
             if match:
-                fields += [Field(n, match[1], bool(match[2])) for n in match[3].split(", ")]
+                fields += [Field(n, match[2], bool(match[3]), bool(match[1])) for n in match[4].split(", ")]
         result[name] = tuple(fields)
     return {name: result[name] for name in names}
 
@@ -195,7 +196,8 @@ def _event_groups(plan: EventPlan, index: Callable[[Kernel], int]) -> list[tuple
     return [(g, group_values(g, 0, index)) for g in groups]
 
 
-def _array_text(ctype: str, name: str, values: NDArray[Any]) -> str:
+def array_text(ctype: str, name: str, values: NDArray[Any]) -> str:
+    """C text of a constant array."""
     items = ["INFINITY" if v == inf else repr(v) for v in values.tolist()]
     lines, line = [], "   "
     for item in items:
@@ -212,7 +214,7 @@ def struct_text(struct: str, name: str, source: Any, derived: dict[str, Any]) ->
     for field, value in _members(struct, source, derived):
         if isinstance(value, np.ndarray):
             if value.size:
-                arrays += _array_text(field.ctype, f"{name}_{field.name}", value)
+                arrays += array_text(field.ctype, f"{name}_{field.name}", value)
             value = f"{name}_{field.name}" if value.size else "0"
         members.append(f"    .{field.name} = {value},")
     return arrays, "{\n" + "\n".join(members) + "\n}"
@@ -255,18 +257,27 @@ def _plan_text(plan: Plan, name: str, index: Callable[[Kernel], int]) -> str:
     return text + arrays + f"static const ph_plan {name} = {members};\n"
 
 
-def c_text(model: Model, index: Callable[[Kernel], int], symbol: str = "ph_the_model", tangents: str = "0") -> str:
+def c_text(
+    model: Model,
+    index: Callable[[Kernel], int],
+    symbol: str = "ph_the_model",
+    tangents: str = "0",
+    code: str = "ph_the_code",
+) -> str:
     """C source that defines `const ph_model <symbol>`; the same model gives the same bytes."""
     derived = {
         "stamp": "PH_STAMP",
         "step": "&step",
         "instant": "&instant",
-        "code": "&ph_the_code",
+        "code": f"&{code}",
         "tangents": tangents,
     }
     arrays, members = struct_text("ph_model", "model", model, derived)
     return (
         '#include "plan.h"\n\n'
+        + "".join(
+            f"extern const {kind};\n" for kind in (f"ph_code {code}", f"ph_function {tangents}[]") if " 0[" not in kind
+        )
         + _plan_text(model.step, "step", index)
         + _plan_text(model.instant, "instant", index)
         + arrays

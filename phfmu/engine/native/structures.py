@@ -40,6 +40,8 @@ class Structures:
 
     def __init__(self, header: Header) -> None:
         self._header = header
+        #: names and values of the structures, in order
+        self.filled: list[tuple[str, Mapping[str, Any]]] = []
         self._keep: list[Any] = []
 
     def functions(self, functions: Sequence[Any]) -> int:
@@ -54,6 +56,7 @@ class Structures:
         Arrays that are written to or change later are kept as they are, so they must be contiguous and of the field's type.
         """
         struct = self._header.structures[name]()
+        self.filled.append((name, values))
         for field in self._header.fields[name]:
             value = values[field.name]
             if isinstance(value, ctypes.Array):

@@ -78,17 +78,29 @@ static void copy(double *to, const double *from, int n) {
         memcpy(to, from, sizeof(double) * (size_t)n);
 }
 
+/* No pivots are known. */
+static void unlearn(ph_system *s) {
+    s->lu.ready = s->lu.filled = 0;
+    if (s->plan->nw > 0)
+        s->pivot[0] = -1;
+}
+
+void ph_forget(ph_instance *in) {
+    for (int i = 0; i < 2; i++) {
+        ph_system *s = i ? &in->instant : &in->step;
+        ph_clear(s->last, s->plan->nw);
+        unlearn(s);
+    }
+    ph_set_algebraic(in, in->model->a0);
+}
+
 int ph_reset(ph_instance *in) {
     const ph_model *m = in->model;
     memset(in->head, 0, in->state_size);
     in->head->token = m->code->token;
     in->head->size = in->state_size;
-    for (int i = 0; i < 2; i++) {
-        ph_system *s = i ? &in->instant : &in->step;
-        s->lu.ready = s->lu.filled = 0;
-        if (s->plan->nw > 0)
-            s->pivot[0] = -1;
-    }
+    unlearn(&in->step);
+    unlearn(&in->instant);
     ph_rest_begin(in);
     if (ph_set_parameters(in, m->p0) || ph_set_x(in, m->t0, m->x0) || ph_set_algebraic(in, m->a0) ||
         ph_set_input(in, m->u0))

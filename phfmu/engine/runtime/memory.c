@@ -1,14 +1,24 @@
 /* Memory of an instance: one block, what it holds and where. */
+#include "step_map.h"
 #include "system.h"
 
-void ph_layout(const ph_model *model, int *offset) {
+void ph_sizes_of(const ph_model *model, ph_sizes *s) {
     const ph_plan *p = model->step;
-    const int length[PH_NBLOCK] = {
-        p->nx,   1, p->na, p->nq, p->nq, p->ncomp, p->ncomp, p->ncomp, p->na, p->nq, model->instant->nobs,
-        p->ncomp};
-    offset[0] = 0;
-    for (int i = 0; i < PH_NBLOCK; i++)
-        offset[i + 1] = offset[i] + length[i];
+    *s = (ph_sizes){.nx = p->nx,
+                    .na = p->na,
+                    .nu = p->nu,
+                    .nq = p->nq,
+                    .np = p->np,
+                    .nobs = model->instant->nobs,
+                    .ncomp = p->ncomp,
+                    .k = p->k,
+                    .weights = p->weights};
+}
+
+void ph_layout(const ph_model *model, int *offset) {
+    ph_sizes s;
+    ph_sizes_of(model, &s);
+    ph_places(&s, offset);
 }
 
 static void lay_state(ph_instance *in, ph_pool *b) {

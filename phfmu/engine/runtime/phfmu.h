@@ -112,6 +112,9 @@ PH_API size_t ph_size(const ph_model *model);
 PH_API int ph_init(void *memory, const ph_model *model);
 /* Back to the start values of the model (state, algebraic guess, inputs, parameters, ledger). */
 PH_API int ph_reset(ph_instance *in);
+/* What was solved so far is not where the next solve starts from, so that what follows does not depend, not
+ * even in the last bit, on what was asked before. To be followed by ph_initialise. */
+PH_API void ph_forget(ph_instance *in);
 /* Solves the instant system: algebraic variables, outputs, observables and H become valid, and the
  * step means take their values. */
 PH_API int ph_initialise(ph_instance *in);

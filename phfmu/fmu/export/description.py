@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cached_property
 from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import ClassVar
 
 import casadi as ca
 
@@ -23,7 +25,7 @@ from phfmu.fmu.export.value_groups import impulse_values, kernels_of, node_value
 from phfmu.fmu.export.variables import FMUVariable, variables
 from phfmu.fmu.words import plain
 from phfmu.fmu.xml import Element, etree, number, text_of
-from phfmu.signals import MEAN, jumps, state_events
+from phfmu.signals import MEAN, check_names, jumps, state_events
 
 #: category of messages -> its description
 LOG_CATEGORIES = {
@@ -66,6 +68,13 @@ class Unit:
     impulses: bool = False
     events: tuple[UnitEvent, ...] = ()
 
+    #: whether it tells derivatives of its steps
+    derives: ClassVar[bool] = True
+    #: type and name of what is constant of its step map in C, and the function that tells the map
+    about: ClassVar[tuple[str, str, str]] = ("ph_model", "ph_the_model", "ph_map_model")
+    #: that declares these, where it is none that all units have
+    header: ClassVar[str] = ""
+
     def __post_init__(self) -> None:
         require_model(self.model, "Unit")
         require_ports(self.declaration, self.outward)
@@ -83,6 +92,24 @@ class Unit:
     def kernels(self) -> PortKernels | None:
         """Its impulses; None without."""
         return kernels_of(self.model) if self.at_nodes else None
+
+    def texts(self) -> dict[str, str]:
+        """C files that are generated for it where it is more than one model: name -> text."""
+        return {}
+
+    def drivers(self) -> dict[str, Path]:
+        """Files of what drives the steps of its models, if it has such."""
+        return {}
+
+    @property
+    def checks(self) -> list[tuple[str, float]]:
+        """Names of the residuals of hidden constraints, and their sizes."""
+        return list(zip(check_names(self.model), self.model.check_scale, strict=True))
+
+    @property
+    def equations(self) -> list[tuple[str, Sequence[str], Sequence[str]]]:
+        """Per part of its step map a name, and the names of its equations: in a step, and at an instant."""
+        return [("", self.model.row_names, self.model.instant_names)]
 
     @property
     def declaration(self) -> PHDAE:

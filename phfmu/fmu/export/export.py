@@ -63,13 +63,18 @@ def export(
     (`energy.events`).  `events`: values that parameters take at given times inside the unit (`schedule.py`).
     The same model gives the same bytes.  Errors: TypeError for anything but a model; FMUError, CompilerMissing, CompileError.
     """
-    rows = _rows(versions)
+    rows = rows_of(versions)
     _require_writable(model, step, tunable, node_inputs or impulses)
     set_later, inside = _scalars(model, [*tunable, *(e.name for e in events)]), in_order(model, events)
     unit = Unit(
         model, step, stop, node_inputs, ledger_outputs, terminals, tuple(left_out), arrays, tuple(outward), set_later, impulses,
         inside,
     )  # fmt: skip
+    return written(unit, directory, rows, platforms)
+
+
+def written(unit: Unit, directory: str | Path, rows: Sequence[Version], platforms: Sequence[str] | None) -> list[Path]:
+    """The archives of a unit, one a version; CompilerMissing, CompileError."""
     equations = sources.generated(unit)
     token = sources.token(unit, equations)
     code = sources.complete(unit, equations, token)
@@ -117,7 +122,8 @@ def _scalars(model: Model, tunable: Collection[str]) -> frozenset[str]:
     return frozenset(n for name in tunable for n in known[name])
 
 
-def _rows(versions: Sequence[str | Version]) -> list[Version]:
+def rows_of(versions: Sequence[str | Version]) -> list[Version]:
+    """The versions of the standard by their numbers; FMUError."""
     known = [v if isinstance(v, Version) else VERSIONS.get(v) for v in versions]
     rows = [v for v in known if v is not None]
     if not rows or len(rows) < len(known):

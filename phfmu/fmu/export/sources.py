@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from math import isfinite
 from pathlib import Path
 
@@ -22,7 +22,6 @@ from phfmu.fmu.export.variables import value_name
 from phfmu.fmu.version import VERSIONS, Version
 from phfmu.fmu.words import c_comment, c_string
 from phfmu.fmu.xml import number
-from phfmu.signals import check_names
 
 RUNTIME = Path(__file__).parent.parent / "runtime"
 
@@ -40,6 +39,8 @@ def generated(unit: Unit) -> dict[str, str]:
     """kernels.c and model.c, tangents.c where there are inputs, ports.c with impulses, guards.c with state events: nothing of the
     interface.
     """
+    if texts := unit.texts():
+        return texts
     model = unit.model
     modes = unit_modes(model)
     table = kernel_table([*kernels(model), *(modes.kernels if modes else ())], model.step.schur)
@@ -66,13 +67,22 @@ def token(unit: Unit, equations: dict[str, str]) -> str:
 
 def fixed(unit: Unit) -> Sources:
     """The hand-written part of it: name -> path."""
+    if drivers := unit.drivers():
+        return {
+            **runtime_sources(),
+            **drivers,
+            **{n: p for n, p in _layers().items() if n not in (*NODES, *LANDING, *MODES)},
+        }
     events = unit.model.events is not None
     modes = unit.model.modes is not None
     parts = (*(["events"] if events else []), *(["modes"] if modes else []))
     absent = (() if unit.at_nodes else NODES) + (() if unit.kernels else IMPULSES) + (() if events else LANDING)
     absent += () if modes else MODES
-    layers = {p.name: p for p in sorted(RUNTIME.iterdir()) if p.suffix in (".c", ".h")}
-    return {name: path for name, path in {**runtime_sources(*parts), **layers}.items() if name not in absent}
+    return {name: path for name, path in {**runtime_sources(*parts), **_layers()}.items() if name not in absent}
+
+
+def _layers() -> Sources:
+    return {p.name: p for p in sorted(RUNTIME.iterdir()) if p.suffix in (".c", ".h")}
 
 
 def complete(unit: Unit, equations: dict[str, str], token: str) -> Sources:
@@ -96,9 +106,17 @@ def names_text(sources: Sources, identifier: str) -> str:
             text = source.read_text() if isinstance(source, Path) else source
             found.update(re.findall(own, text))
             found.update(re.findall(r"^extern const [^;=]*?(\w+)(?:\[\])?;", text, flags=re.M))
-    tables = {"model.c": "ph_the_model", "ports.c": "ph_the_ports", "guards.c": "ph_the_events"}
+    tables = {
+        "network.c": "ph_the_network",
+        "model.c": "ph_the_model",
+        "ports.c": "ph_the_ports",
+        "guards.c": "ph_the_events",
+    }
     found.update(symbol for file, symbol in tables.items() if file in sources)
     found.update(symbols(sources))
+    for name in sources:  # of members, which share kernels and ports with those like them
+        if match := re.fullmatch(r"(kernels|tangents|member|ports)(\d+)\.c", name):
+            found.add(f"ph_{'code' if match[1] == 'kernels' else match[1]}{match[2]}")
     lines = "".join(f"#define {name} {identifier}_{name}\n" for name in sorted(found))
     return f"/* Generated. Names of {identifier}, for programs that several units are linked into. */\n{lines}"
 
@@ -125,27 +143,25 @@ def _c_number(value: float) -> str:
 def interface_text(unit: Unit, token: str) -> str:
     """interface.c: variables, checks and names of the equations."""
     model = unit.model
+    kind, symbol, map_of = unit.about
     place = {v.name: i for i, v in enumerate(unit.variables)}
     rows = [f"{{{v.block}, {v.first}, {v.count}, {c_string(v.name)}, {v.sign}}}" for v in unit.variables]
-    limits = [
-        f"{{{place[n]}, {number(CONSISTENCY * s)}}}" for n, s in zip(check_names(model), model.check_scale, strict=True)
-    ]
+    limits = [f"{{{place[n]}, {number(CONSISTENCY * s)}}}" for n, s in unit.checks]
     ranges = [
         f"{{{i}, {_c_number(v.limit.min)}, {_c_number(v.limit.max)}, {int(v.limit.above)}}}"
         for i, v in enumerate(unit.variables)
         if v.limit is not None
     ]
     events = [f"{{{number(e.t)}, {place[value_name(model, e.name)]}, {number(e.value)}}}" for e in unit.events]
-    equations, equations_name = _strings("equations", model.row_names)
-    end_equations, end_name = _strings("end_equations", model.instant_names)
+    texts, initialisers = zip(*(_equations_text(*e, str(i)) for i, e in enumerate(unit.equations)), strict=True)
     checks = f"static const fmu_check checks[] = {{\n{_list(limits)}}};\n" if limits else ""
     if unit.spans:
         sizes = [str(unit.spans[i].size if i in unit.spans else 1) for i in range(len(rows))]
         checks += f"static const int sizes[] = {{\n{_list(sizes)}}};\n"
     nodes = "    .node_memory = fmu_node_memory,\n    .node_map = fmu_node_map,\n" if unit.at_nodes else ""
-    include = ""
+    include = f'#include "{unit.header}"\n' if unit.header else ""
     if unit.kernels:
-        include, nodes = '#include "impulses.h"\n', nodes + "    .impulses = &impulses,\n"
+        include, nodes = include + '#include "impulses.h"\n', nodes + "    .impulses = &impulses,\n"
         checks += _impulses_text(unit.kernels)
     if model.events is not None:
         include, nodes = include + '#include "events.h"\n', nodes + "    .landing = &landing,\n"
@@ -159,14 +175,17 @@ def interface_text(unit: Unit, token: str) -> str:
 
 #include "fmu.h"
 {include}
-extern const ph_model ph_the_model;
+extern const {kind} {symbol};
 
 static const fmu_variable variables[] = {{
 {_list(rows)}}};
-{checks}{equations}{end_equations}
+{checks}{"".join(texts)}static const fmu_equations equations[] = {{
+{_list(f"{{{text}}}" for text in initialisers)}}};
+
 const fmu_interface fmu_the_interface = {{
     .token = "{token}",
-    .model = &ph_the_model,
+    .map = {map_of},
+    .of = &{symbol},
     .step = {number(unit.step)},
     .nvariable = {len(rows)},
     .ncheck = {len(limits)},
@@ -175,13 +194,19 @@ const fmu_interface fmu_the_interface = {{
     .sizes = {"sizes" if unit.spans else "0"},
     .checks = {"checks" if limits else "0"},
     .ranges = {"ranges" if ranges else "0"},
-    .equations = {equations_name},
-    .end_equations = {end_name},
+    .equations = equations,
     .jumps = {int(unit.jumps)},
     .nevent = {len(events)},
     .events = {"events" if events else "0"},
 {nodes}}};
 """
+
+
+def _equations_text(part: str, steps: Sequence[str], instants: Sequence[str], suffix: str) -> tuple[str, str]:
+    """The names of equations, and what initialises their fmu_equations; `suffix`: of the names of these in C."""
+    named = [_strings(f"{what}{suffix}", names) for what, names in (("step_rows", steps), ("end_rows", instants))]
+    sizes = f"{len(steps)}, {len(instants)}"
+    return "".join(t for t, _ in named), f"{c_string(part)}, {sizes}, {', '.join(name for _, name in named)}"
 
 
 def _landing_text(model: Model) -> str:
@@ -202,12 +227,10 @@ def _modes_text(modes: UnitModes) -> str:
     """The modes with their tables, and the functions of fmu_modes.c."""
     text, rows = "", []
     for i, model in enumerate(modes.models):
-        named = [
-            _strings(f"{what}{i}", names) for what, names in (("rows", model.row_names), ("ends", model.instant_names))
-        ]
+        names, rows_of = _equations_text("", model.row_names, model.instant_names, f"_mode{i}")
         text += f"extern const ph_model {model_symbol(i)};\nextern const ph_events {events_symbol(i)};\n"
-        text += "".join(t for t, _ in named)
-        rows.append(f"{{&{model_symbol(i)}, &{events_symbol(i)}, {', '.join(name for _, name in named)}}}")
+        text += names
+        rows.append(f"{{&{model_symbol(i)}, &{events_symbol(i)}, {{{rows_of}}}}}")
     functions = ("state_size", "save", "load", "fault", "reset", "asked", "ask")
     return (
         f"extern const ph_switches {SWITCHES};\nextern const ph_mode_rows {ROWS}[];\n{text}"

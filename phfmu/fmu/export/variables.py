@@ -55,7 +55,7 @@ class FMUVariable(Quantity):
 #: places of fmu.h; the others are blocks of phfmu.h
 _OF_UNITS = (
     *("parameter", "tunable", "input", "node_input", "node_output", "impulse", "jump", "gap", "jumped"),
-    *("mode", "happened"),
+    *("mode", "happened", "joined"),
     *("row_stored", "row_supplied", "row_dissipated", "row_moved", "row_pairs"),
 )
 #: energies, which no input changes before the next step
@@ -87,15 +87,26 @@ def variables(
     """
     limit, modes = limits(model.declaration), {*model.declaration.modes}
     told = (*(q for q in quantities(model) if q.name not in modes), *(q for group in groups for q in group(model)))
+    pairs = [
+        (q, limit.get(q.name.removeprefix(MODE)) if q.block in ("parameter", "tunable", "mode") else None) for q in told
+    ]
+    signals = {n for o in model.declaration.observables if o.signal for n in o.names()}
+    return listed(model.name, pairs, ledger_outputs, tunable, signals)
+
+
+def listed(
+    name: str,
+    told: Iterable[tuple[Quantity, Limit | None]],
+    ledger_outputs: bool,
+    tunable: Collection[str],
+    signals: Collection[str],
+) -> tuple[FMUVariable, ...]:
+    """The variables of the unit `name` with their limits; `signals`: outputs that stay such.  FMUError as of `variables`."""
     table = tuple(
-        _written(
-            replace(q, block="tunable") if q.name in tunable and q.block == "parameter" else q,
-            limit.get(q.name.removeprefix(MODE)) if q.block in ("parameter", "tunable", "mode") else None,
-        )
-        for q in told
+        _written(replace(q, block="tunable") if q.name in tunable and q.block == "parameter" else q, limit)
+        for q, limit in told
     )
     if not ledger_outputs:
-        signals = {n for o in model.declaration.observables if o.signal for n in o.names()}
         table = tuple(
             replace(v, causality="local")
             if v.causality == "output" and v.block in _BOOKS and v.name not in signals
@@ -104,7 +115,7 @@ def variables(
         )
     problems = _problems(table)
     if problems:
-        raise FMUError(f"{model.name}: " + "; ".join(problems))
+        raise FMUError(f"{name}: " + "; ".join(problems))
     return table
 
 

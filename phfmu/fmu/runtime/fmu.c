@@ -20,9 +20,9 @@ int fmu_setup(fmu *f, const char *function, double start, int stop_defined, doub
         return FMU_ERROR;
     if (!isfinite(start) || (stop_defined && !(stop >= start)))
         return fmu_refuse(f, "%s: start time %.9g s and stop time %.9g s do not fit", function, start, stop);
-    if (f->about->model->step->nx > 0)
-        memcpy(f->x, ph_signals(f->in), sizeof(double) * (size_t)f->about->model->step->nx);
-    if (ph_set_x(f->in, start, f->x))
+    if (f->sizes.nx > 0)
+        memcpy(f->x, f->map->signals(f->of), sizeof(double) * (size_t)f->sizes.nx);
+    if (f->map->set_x(f->of, start, f->x))
         return fmu_refuse(f, "%s: start time %.9g s was refused", function, start);
     f->phase.stop_defined = stop_defined;
     f->phase.start = start;
@@ -40,7 +40,7 @@ int fmu_enter(fmu *f, const char *function) {
 
 /* Starts that violate a hidden constraint are refused: stepped, they chatter for ever. */
 static int check_starts(const fmu *f, const char *function) {
-    const double *table = ph_signals(f->in);
+    const double *table = f->map->signals(f->of);
     const fmu_check *worst = NULL;
     double most = 1.0, value = 0.0;
     for (int i = 0; i < f->about->ncheck; i++) {
@@ -64,8 +64,8 @@ static int check_starts(const fmu *f, const char *function) {
 
 /* From here on the ledger has to explain every change of the stored energy. */
 static void open_books(fmu *f) {
-    const double *energy = ph_signals(f->in) + f->offset[PH_H];
-    for (int c = 0; c < f->about->model->step->ncomp; c++) {
+    const double *energy = f->map->signals(f->of) + f->offset[PH_H];
+    for (int c = 0; c < f->sizes.ncomp; c++) {
         f->books.start[c] = energy[c];
         f->books.booked[c] = f->books.rest[c] = f->books.jumped[c] = 0.0;
     }
@@ -73,8 +73,8 @@ static void open_books(fmu *f) {
 
 /* The change of stored energy that the last step booked, compensated. */
 static void book(fmu *f) {
-    const double *stored = ph_ledger(f->in, PH_ROW_STORED);
-    for (int c = 0; c < f->about->model->step->ncomp; c++)
+    const double *stored = f->map->ledger(f->of, PH_ROW_STORED);
+    for (int c = 0; c < f->sizes.ncomp; c++)
         ph_add(&f->books.booked[c], &f->books.rest[c], stored[c]);
 }
 
@@ -84,7 +84,7 @@ int fmu_leave(fmu *f, const char *function) {
         return FMU_ERROR;
     status = fmu_events_until(f, f->phase.start);
     if (!status)
-        status = ph_initialise(f->in);
+        status = f->map->initialise(f->of);
     if (status)
         return fmu_solver(f, function, status);
     if (check_starts(f, function))
@@ -115,8 +115,8 @@ int fmu_reset(fmu *f, const char *function) {
         s[i] = 0.0;
     if (f->about->landing && f->about->landing->switches)
         f->about->landing->switches->reset(f);
-    return ph_reset(f->in) ? fmu_refuse(f, "%s: the start values of the model were refused", function)
-                           : FMU_OK;
+    return f->map->reset(f->of) ? fmu_refuse(f, "%s: the start values of the model were refused", function)
+                                : FMU_OK;
 }
 
 /* How far the start of an honest step of length h may be from the present time. The present time is where the
@@ -155,23 +155,24 @@ static int check_step(const fmu *f, const char *function, double t, double h, in
  * the length of its steps. It is no error; where the rest cannot be solved, the next call discards. Inputs at
  * nodes and impulses belong to the whole step, so that it cannot end early. */
 static int refuse_step(fmu *f, const char *function, double t, double h, int n, int *early) {
-    const ph_report why = *ph_last_report(f->in);
+    const ph_report why = *f->map->report(f->of);
+    const fmu_equations *rows = fmu_refusing(f);
     const double part = h * why.solved / n;
-    if (f->early && early && why.solved > 0 && fmu_held(f, ph_input(f->in)) && !fmu_kicked(f) &&
-        ph_step_parts(f->in, t, part, why.solved) == PH_OK) {
+    if (f->early && early && why.solved > 0 && fmu_held(f, f->map->input(f->of)) && !fmu_kicked(f) &&
+        f->map->step_parts(f->of, t, part, why.solved) == PH_OK) {
         *early = 1;
-        return fmu_step_refused(f, function, FMU_OK, &why, f->mode);
+        return fmu_step_refused(f, function, FMU_OK, &why, rows);
     }
     f->solved = part;
-    return fmu_step_refused(f, function, FMU_DISCARD, &why, f->mode);
+    return fmu_step_refused(f, function, FMU_DISCARD, &why, rows);
 }
 
 /* In a step too short to be one time moves, and impulses act, which make a state consistent. */
 static int step_parts(fmu *f, double t, double h, int n) {
     const fmu_impulses *impulses = f->about->impulses;
     if (h <= PH_SLIVER_STEP * f->about->step)
-        return fmu_kicked(f) ? impulses->kick(f->nodes.impulses, t + h) : ph_skip(f->in, t + h);
-    return impulses ? impulses->step(f->nodes.impulses, t, h, n) : ph_step_parts(f->in, t, h, n);
+        return fmu_kicked(f) ? impulses->kick(f->nodes.impulses, t + h) : f->map->skip(f->of, t + h);
+    return impulses ? impulses->step(f->nodes.impulses, t, h, n) : f->map->step_parts(f->of, t, h, n);
 }
 
 static int solve_step(fmu *f, const char *function, double t, double h, int n, int *early) {
@@ -189,11 +190,11 @@ static int solve_step(fmu *f, const char *function, double t, double h, int n, i
 
 /* What a step from here depends on: states, inputs, parameters, impulses. */
 static unsigned long long begun_with(fmu *f) {
-    const ph_plan *plan = f->about->model->step;
+    const ph_sizes *plan = &f->sizes;
     int n;
     const double *s = fmu_impulse_values(f, &n);
-    unsigned long long hash = fmu_hash(FMU_HASHED, ph_signals(f->in), sizeof(double) * (size_t)plan->nx);
-    hash = fmu_hash(hash, ph_input(f->in), sizeof(double) * (size_t)(plan->nu * plan->k));
+    unsigned long long hash = fmu_hash(FMU_HASHED, f->map->signals(f->of), sizeof(double) * (size_t)plan->nx);
+    hash = fmu_hash(hash, f->map->input(f->of), sizeof(double) * (size_t)(plan->nu * plan->k));
     fmu_parameters(f);
     hash = fmu_hash(hash, f->p, sizeof(double) * (size_t)plan->np);
     return n > 0 ? fmu_hash(hash, s, sizeof(double) * (size_t)n) : hash;
@@ -220,7 +221,7 @@ int fmu_do_step(fmu *f, const char *function, double t, double h, int *early) {
         *early = 0;
     if (fmu_allow(f, function, FMU_STEP) || check_step(f, function, t, h, &n))
         return FMU_ERROR;
-    count = ph_counts(f->in);
+    count = f->map->counts(f->of);
     halved = count[PH_SUBSTEPS];
     f->step_known = f->end_known = f->nodes.known = 0;
     f->solved = 0.0;

@@ -8,7 +8,7 @@
 
 #include <stddef.h>
 
-#include "phfmu.h"
+#include "step_map.h"
 
 /* Values of fmi2Status and fmi3Status. */
 enum { FMU_OK = 0, FMU_DISCARD = 2, FMU_ERROR = 3 };
@@ -36,6 +36,7 @@ enum {
     FMU_IMPULSE, /* at the start of the coming step, then those at its end */
     FMU_JUMP,    /* of all impulses, row-major */
     FMU_MODE,    /* a parameter that state events set */
+    FMU_JOINED,  /* what only the whole of coupled members tells */
     FMU_HAPPENED /* how many state events there were, when the last one was, what they lost */
 };
 
@@ -100,20 +101,28 @@ typedef struct fmu_event {
     double value;
 } fmu_event;
 
-/* What is generated for one model, constant. */
+/* Equations of a model, for messages. */
+typedef struct fmu_equations {
+    const char *member; /* of a network, else "" */
+    int nstep, ninstant;
+    const char *const *step;    /* nstep rows of a step */
+    const char *const *instant; /* ninstant rows of the end values */
+} fmu_equations;
+
+/* What is generated for one unit, constant. */
 typedef struct fmu_interface {
     const char *token; /* FMU_TOKEN characters */
-    const ph_model *model;
-    double step; /* longest internal step, s */
+    const ph_step_map *(*map)(void);
+    const void *of; /* what the map is about: a ph_model, or a ph_network */
+    double step;    /* longest internal step, s */
     int nvariable, ncheck, nrange;
-    const fmu_variable *variables;    /* nvariable */
-    const int *sizes;                 /* nvariable, of FMI 3.0: scalars from here on; NULL without arrays */
-    const fmu_check *checks;          /* ncheck */
-    const fmu_range *ranges;          /* nrange */
-    const char *const *equations;     /* rows of the step, step->nw */
-    const char *const *end_equations; /* rows of the end values, instant->nw */
-    int jumps;                        /* whether stored energy depends on a tunable parameter */
-    int (*node_memory)(fmu *f);       /* fmu_nodes.c; NULL without inputs at nodes */
+    const fmu_variable *variables;  /* nvariable */
+    const int *sizes;               /* nvariable, of FMI 3.0: scalars from here on; NULL without arrays */
+    const fmu_check *checks;        /* ncheck */
+    const fmu_range *ranges;        /* nrange */
+    const fmu_equations *equations; /* of each part of the map */
+    int jumps;                      /* whether stored energy depends on a tunable parameter */
+    int (*node_memory)(fmu *f);     /* fmu_nodes.c; NULL without inputs at nodes */
     int (*node_map)(fmu *f);
     const fmu_impulses *impulses; /* NULL if ports take none */
     int nevent;
@@ -175,7 +184,9 @@ typedef struct fmu_nodes {
 
 struct fmu {
     const fmu_interface *about;
-    ph_instance *in;
+    const ph_step_map *map;
+    void *of; /* what takes steps: a model's instance, or a network */
+    ph_sizes sizes;
     fmu_phase phase;
     int logging; /* categories that are passed on */
     fmu_sink sink;
@@ -188,9 +199,9 @@ struct fmu {
     double solved;             /* length of what could be solved of a discarded step, the last call; else 0 */
     fmu_discarded discarded;   /* the last step that was */
     fmu_books books;           /* saved with the state, as one stretch of FMU_NBOOKS*ncomp */
-    double *step_map, *end_map; /* nu*nu sensitivities, row-major */
-    int step_known, end_known;  /* whether they belong to the present time */
-    unsigned *scalars;          /* 2*nvariable, room for the scalars of arrays; NULL without arrays */
+    double *step_derivative, *end_derivative; /* nu*nu sensitivities, row-major */
+    int step_known, end_known;                /* whether they belong to the present time */
+    unsigned *scalars; /* 2*nvariable, room for the scalars of arrays; NULL without arrays */
     fmu_nodes nodes;
     double *kept;                /* what of the parts of a step is summed; NULL without events */
     void *before;                /* a saved state; NULL without events */
@@ -212,9 +223,11 @@ int fmu_log(fmu *f, const char *function, int on, size_t n, const char *const *c
 int fmu_allow(const fmu *f, const char *function, int modes);
 int fmu_given(const fmu *f, const char *function, int given); /* refuses a null pointer */
 int fmu_solver(const fmu *f, const char *what, int status);
-/* `mode`: the one in which `why` was written, NULL without ideal switches; answers `answer`, also in logs. */
+/* `rows`: those that `why` is about; answers `answer`, also in logs. */
 int fmu_step_refused(const fmu *f, const char *what, int answer, const ph_report *why,
-                     const struct fmu_mode *mode);
+                     const fmu_equations *rows);
+/* The equations of what refused the last step. */
+const fmu_equations *fmu_refusing(const fmu *f);
 
 /* fmu.c. NULL if the token is another model's or there is no memory. */
 fmu *fmu_create(const char *name, const char *token, int logging, fmu_sink sink, void (*callback)(void),

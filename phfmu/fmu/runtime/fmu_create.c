@@ -6,31 +6,37 @@
 #include <string.h>
 
 static fmu *allocate(const fmu_interface *about, const char *name) {
-    const ph_plan *p = about->model->step;
-    const size_t model = ph_size(about->model), length = strlen(name) + 1, nu = (size_t)p->nu;
-    const size_t nc = (size_t)p->ncomp;
-    const size_t values =
-        (size_t)p->nx + 2 * (size_t)p->np + nu * (size_t)p->k + 2 * nu * nu + (FMU_NBOOKS + 1) * nc;
+    const ph_step_map *map = about->map();
+    ph_sizes sizes;
+    const ph_sizes *p = &sizes;
+    const size_t model = map->size(about->of), length = strlen(name) + 1;
     const size_t scalars = about->sizes ? 2 * (size_t)about->nvariable : 0;
+    size_t nu, nc, values;
     char *block;
     fmu *f;
     double *place;
     if (model == 0)
         return NULL;
+    map->sizes(about->of, &sizes);
+    nu = (size_t)p->nu;
+    nc = (size_t)p->ncomp;
+    values = (size_t)p->nx + 2 * (size_t)p->np + nu * (size_t)p->k + 2 * nu * nu + (FMU_NBOOKS + 1) * nc;
     block = calloc(1, ph_padded(sizeof(fmu)) + ph_padded(model) + sizeof(double) * values +
                           sizeof(unsigned) * scalars + length);
     if (!block)
         return NULL;
     f = (fmu *)(void *)block;
     f->about = about;
-    f->in = (ph_instance *)(void *)(block + ph_padded(sizeof(fmu)));
+    f->map = map;
+    f->sizes = sizes;
+    f->of = block + ph_padded(sizeof(fmu));
     place = (double *)(void *)(block + ph_padded(sizeof(fmu)) + ph_padded(model));
     f->x = place;
     f->p = f->x + p->nx;
     f->u = f->p + p->np;
-    f->step_map = f->u + nu * (size_t)p->k;
-    f->end_map = f->step_map + nu * nu;
-    f->books.start = f->end_map + nu * nu;
+    f->step_derivative = f->u + nu * (size_t)p->k;
+    f->end_derivative = f->step_derivative + nu * nu;
+    f->books.start = f->end_derivative + nu * nu;
     f->books.booked = f->books.start + nc;
     f->books.rest = f->books.booked + nc;
     f->books.jumped = f->books.rest + nc;
@@ -59,10 +65,10 @@ fmu *fmu_create(const char *name, const char *token, int logging, fmu_sink sink,
         return NULL;
     }
     f = allocate(about, name);
-    if (!f || ph_init(f->in, about->model) != PH_OK || (about->node_memory && !about->node_memory(f))) {
-        size_t size = ph_size(about->model);
+    if (!f || f->map->init(f->of, about->of) != PH_OK || (about->node_memory && !about->node_memory(f))) {
+        size_t size = about->map()->size(about->of);
         fmu_refuse(&nobody, "%s (instance of %zu bytes)", size ? "no memory" : ph_status_text(PH_ABI), size);
-        free(f);
+        fmu_free(f);
         return NULL;
     }
     f->logging = logging;
@@ -70,7 +76,7 @@ fmu *fmu_create(const char *name, const char *token, int logging, fmu_sink sink,
     f->callback = callback;
     f->environment = environment;
     f->phase.mode = FMU_INSTANTIATED;
-    ph_layout(about->model, f->offset);
+    ph_places(&f->sizes, f->offset);
     if (fmu_events_create(f)) {
         fmu_free(f);
         return NULL;
@@ -80,6 +86,8 @@ fmu *fmu_create(const char *name, const char *token, int logging, fmu_sink sink,
 
 void fmu_free(fmu *f) {
     if (f) {
+        if (f->map->release)
+            f->map->release(f->of);
         free(f->nodes.memory);
         fmu_events_free(f);
     }

@@ -22,7 +22,7 @@ static int refuse(const fmu *f, const char *function, const fmu_variable *v, con
 /* Outputs of the step or outputs now, with respect to held inputs. */
 static int check_output(const fmu *f, const char *function, unsigned ref, const int *block) {
     const fmu_variable *v = variable(f, ref);
-    if (v && (v->block == PH_Y_STEP || v->block == PH_Y_END) && v->first < f->about->model->step->nu &&
+    if (v && (v->block == PH_Y_STEP || v->block == PH_Y_END) && v->first < f->sizes.nu &&
         (*block < 0 || v->block == *block))
         return FMU_OK;
     if (v && v->block == FMU_NODE_OUTPUT)
@@ -34,7 +34,7 @@ static int check_output(const fmu *f, const char *function, unsigned ref, const 
 
 /* Outputs at nodes, or at the end of the step where there are impulses: the row of the node map, or -1. */
 static int row_of(const fmu *f, const fmu_variable *v) {
-    const ph_plan *p = f->about->model->step;
+    const ph_sizes *p = &f->sizes;
     if (v && v->block == FMU_NODE_OUTPUT && v->first % p->nq < p->nu)
         return v->first / p->nq * p->nu + v->first % p->nq;
     if (v && v->block == PH_Y_END && f->about->impulses && v->first < p->nu)
@@ -43,7 +43,7 @@ static int row_of(const fmu *f, const fmu_variable *v) {
 }
 
 static int column_of(const fmu *f, const fmu_variable *v) {
-    const ph_plan *p = f->about->model->step;
+    const ph_sizes *p = &f->sizes;
     return v->block == FMU_IMPULSE ? p->k * p->nu + v->first : v->first;
 }
 
@@ -90,17 +90,17 @@ static const double *map_of(fmu *f, const char *function, int block) {
     if (block == PH_Y_STEP && !same_parameters(f, function))
         return NULL;
     if (block == PH_Y_STEP && !f->step_known) {
-        status = ph_sensitivity(f->in, f->step_map);
+        status = f->map->sensitivity(f->of, f->step_derivative);
         f->step_known = status == PH_OK;
     } else if (block == PH_Y_END && !f->end_known) {
-        status = ph_sensitivity_end(f->in, f->end_map);
+        status = f->map->sensitivity_end(f->of, f->end_derivative);
         f->end_known = status == PH_OK;
     }
     if (status) {
         fmu_solver(f, function, status);
         return NULL;
     }
-    return block == PH_Y_STEP ? f->step_map : f->end_map;
+    return block == PH_Y_STEP ? f->step_derivative : f->end_derivative;
 }
 
 /* Derivatives of the last step by inputs at nodes and impulses, solved for once. */
@@ -118,7 +118,7 @@ static int node_map(fmu *f, const char *function) {
 }
 
 static double entry(const fmu *f, const double *map, const fmu_variable *unknown, const fmu_variable *known) {
-    const ph_plan *p = f->about->model->step;
+    const ph_sizes *p = &f->sizes;
     const size_t nodes = (size_t)(p->k * p->nu), ends = (size_t)p->nu;
     size_t row, column;
     if (map)

@@ -14,7 +14,7 @@ int fmu_events_create(fmu *f) {
         return FMU_OK;
     if (f->about->landing && !f->about->landing->create(f))
         return fmu_refuse(f, "no memory for state events");
-    f->kept = calloc((size_t)ph_kept_size(f->about->model) + 1, sizeof(double));
+    f->kept = calloc((size_t)f->map->kept_size(f->about->of) + 1, sizeof(double));
     return f->kept ? fmu_save(f, __func__, &f->before) : FMU_ERROR;
 }
 
@@ -48,7 +48,7 @@ int fmu_events_until(fmu *f, double t) {
 
 static int advance(fmu *f, double t, double h, int n, int *stopped) {
     const fmu_landing *landing = f->about->landing;
-    return landing ? landing->step(f, t, h, n, stopped) : ph_step_parts(f->in, t, h, n);
+    return landing ? landing->step(f, t, h, n, stopped) : f->map->step_parts(f->of, t, h, n);
 }
 
 /* [t, end] in parts; *reached: where the last one that was solved ends; *stopped (may be NULL): at a state
@@ -68,9 +68,9 @@ static int step_parts(fmu *f, double t, double end, double slack, double *reache
             return status;
         goal = halt ? fmu_time(f) : goal;
         if (now > t)
-            ph_join(f->in, f->kept, (now - t) / (goal - t));
+            f->map->join(f->of, f->kept, (now - t) / (goal - t));
         f->phase.crossed |= now > t;
-        ph_keep(f->in, f->kept);
+        f->map->keep(f->of, f->kept);
         *reached = goal;
     }
     if (stopped)
@@ -84,10 +84,10 @@ int fmu_events_within(const fmu *f, double end) {
 
 int fmu_events_step(fmu *f, const char *function, double t, double h, double slack, int *early) {
     double reached = t;
-    const struct fmu_mode *mode;
+    const fmu_equations *rows;
     ph_report why;
     int status;
-    if (!fmu_held(f, ph_input(f->in)) || fmu_kicked(f)) {
+    if (!fmu_held(f, f->map->input(f->of)) || fmu_kicked(f)) {
         f->solved = next_event(f) - t;
         return fmu_say(f, FMU_DISCARD, FMU_LOG_ERRORS,
                        "%s: inputs at nodes and impulses belong to a whole step, in which there is the event "
@@ -100,12 +100,12 @@ int fmu_events_step(fmu *f, const char *function, double t, double h, double sla
     status = step_parts(f, t, t + h, slack, &reached, f->early ? early : NULL);
     if (status == PH_OK)
         return FMU_OK;
-    why = *ph_last_report(f->in);
-    mode = f->mode;
+    why = *f->map->report(f->of);
+    rows = fmu_refusing(f);
     if (fmu_restore(f, function, f->before))
         return FMU_ERROR;
     f->solved = reached - t;
     if (status == PH_EVENT)
         return f->about->landing->refused(f, function);
-    return fmu_step_refused(f, function, FMU_DISCARD, &why, mode);
+    return fmu_step_refused(f, function, FMU_DISCARD, &why, rows);
 }

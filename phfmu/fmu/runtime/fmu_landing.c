@@ -18,8 +18,8 @@ typedef struct landed {
 
 int fmu_landing_create(fmu *f) {
     const ph_events *events = f->about->landing->events;
-    const size_t nc = (size_t)f->about->model->step->ncomp, signals = (size_t)f->offset[PH_NBLOCK];
-    const size_t size = ph_padded(ph_landing_size(f->in, events));
+    const size_t nc = (size_t)f->sizes.ncomp, signals = (size_t)f->offset[PH_NBLOCK];
+    const size_t size = ph_padded(ph_landing_size(f->of, events));
     char *block =
         calloc(1, ph_padded(sizeof(landed)) + size + sizeof(double) * (2 * nc + signals) + (size_t)events->n);
     landed *l = (landed *)(void *)block;
@@ -27,7 +27,7 @@ int fmu_landing_create(fmu *f) {
     if (!block)
         return 0;
     place = (double *)(void *)(block + ph_padded(sizeof(landed)) + size);
-    l->landing = ph_landing_init(block + ph_padded(sizeof(landed)), f->in, events);
+    l->landing = ph_landing_init(block + ph_padded(sizeof(landed)), f->of, events);
     l->out.event_t = &l->t;
     l->out.event_step = &l->step;
     l->out.event_energy = place;
@@ -48,7 +48,7 @@ ph_landed *fmu_landing_out(const fmu *f) {
 }
 
 void fmu_landing_book(fmu *f, const ph_landed *out) {
-    for (int c = 0; c < f->about->model->step->ncomp; c++) {
+    for (int c = 0; c < f->sizes.ncomp; c++) {
         f->books.jumped[c] += out->event_energy[c];
         f->phase.happened[2] += out->event_lost[c];
     }

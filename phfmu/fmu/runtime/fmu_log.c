@@ -6,7 +6,7 @@
 #include "fmu_modes.h"
 
 double fmu_time(const fmu *f) {
-    return ph_signals(f->in)[f->about->model->step->nx];
+    return f->map->signals(f->of)[f->sizes.nx];
 }
 
 static const struct {
@@ -83,27 +83,28 @@ int fmu_given(const fmu *f, const char *function, int given) {
     return given ? FMU_OK : fmu_refuse(f, "%s: a null pointer for values that are asked for", function);
 }
 
+const fmu_equations *fmu_refusing(const fmu *f) {
+    return f->mode ? &f->mode->rows : &f->about->equations[f->map->part(f->of)];
+}
+
 /* A failure of the solver; the instance is at its last accepted step. */
-int fmu_step_refused(const fmu *f, const char *what, int answer, const ph_report *r, const fmu_mode *mode) {
-    const ph_model *model = mode ? mode->model : f->about->model;
-    const ph_plan *plan = r->instant ? model->instant : model->step;
-    const char *const *steps = mode ? mode->equations : f->about->equations;
-    const char *const *instants = mode ? mode->end_equations : f->about->end_equations;
-    const char *const *names = r->instant ? instants : steps;
-    int place = r->row >= 0 ? r->row : r->column;
+int fmu_step_refused(const fmu *f, const char *what, int answer, const ph_report *r, const fmu_equations *e) {
+    const char *const *names = r->instant ? e->instant : e->step;
+    const int place = r->row >= 0 ? r->row : r->column, n = r->instant ? e->ninstant : e->nstep;
     return fmu_say(
         f, answer, answer == FMU_OK ? FMU_LOG_HALVED : FMU_LOG_ERRORS,
-        "%s%s: %s. Worst: %s, scaled residual %.3g (rounding floor %.2g), last update %.3g after %d "
+        "%s%s: %s. Worst: %s%s%s, scaled residual %.3g (rounding floor %.2g), last update %.3g after %d "
         "iterations (%d with all attempts), in [%.9g s, %.9g s]. The component is %sat t = %.9g s; try a "
         "smaller step, or look at its inputs",
-        what, answer == FMU_OK ? " returns early" : "", ph_status_text(r->status),
-        place >= 0 && place < plan->nw ? names[place] : "none", r->residual, r->floor, r->update,
-        r->iterations, r->spent, r->time, r->time + r->h, answer == FMU_OK ? "" : "back ", fmu_time(f));
+        what, answer == FMU_OK ? " returns early" : "", ph_status_text(r->status), e->member,
+        *e->member ? ": " : "", place >= 0 && place < n ? names[place] : "none", r->residual, r->floor,
+        r->update, r->iterations, r->spent, r->time, r->time + r->h, answer == FMU_OK ? "" : "back ",
+        fmu_time(f));
 }
 
 /* The last failure of a call other than a step. */
 int fmu_solver(const fmu *f, const char *what, int status) {
     if (status == PH_ABI || status == PH_ARGUMENT || status == PH_VALUE || status == PH_NO_SENSITIVITY)
         return fmu_refuse(f, "%s: %s", what, ph_status_text(status)); /* these come without a report */
-    return fmu_step_refused(f, what, FMU_ERROR, ph_last_report(f->in), f->mode);
+    return fmu_step_refused(f, what, FMU_ERROR, f->map->report(f->of), fmu_refusing(f));
 }

@@ -75,7 +75,7 @@ static int make(fmu *f, world *w, int i) {
     if (i && size == 0)
         return 0;
     memory = i ? calloc(1, size) : NULL;
-    whole->in = i ? (ph_instance *)(void *)memory : f->in;
+    whole->in = i ? (void *)memory : f->of;
     if (!whole->in || (i && ph_init(whole->in, mode->model) != PH_OK))
         return 0;
     ph_initialise(whole->in); /* where it cannot be, entering it says so */
@@ -97,7 +97,7 @@ static int make(fmu *f, world *w, int i) {
 
 static void take(fmu *f, const ph_mode *mode) {
     const world *w = f->modes;
-    f->in = mode->in;
+    f->of = mode->in;
     f->mode = &about(f)->modes[mode - w->whole];
     ph_layout(f->mode->model, f->offset);
 }
@@ -208,7 +208,7 @@ void fmu_modes_save(const fmu *f, void *out) {
     char *place = out;
     memset(out, 0, fmu_modes_state_size(f));
     memcpy(place, w->sides, 1 + 2 * (size_t)about(f)->switches->n);
-    ph_save(f->in, place + sides_size(f));
+    ph_save(f->of, place + sides_size(f));
 }
 
 int fmu_modes_load(fmu *f, const void *from) {
@@ -218,7 +218,7 @@ int fmu_modes_load(fmu *f, const void *from) {
         return PH_ARGUMENT;
     memcpy(w->sides, sides, 1 + 2 * (size_t)about(f)->switches->n);
     adopt(f);
-    return ph_load(f->in, (const char *)from + sides_size(f));
+    return ph_load(f->of, (const char *)from + sides_size(f));
 }
 
 const char *fmu_modes_fault(const fmu *f, const void *from) {

@@ -8,8 +8,7 @@
 typedef struct fmu_mode {
     const ph_model *model;
     const struct ph_events *events;
-    const char *const *equations;     /* step->nw */
-    const char *const *end_equations; /* instant->nw */
+    fmu_equations rows;
 } fmu_mode;
 
 /* Functions of fmu_modes.c, which only units with ideal switches have. */

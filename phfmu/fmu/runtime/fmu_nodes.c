@@ -7,11 +7,11 @@
 #include "pool.h"
 
 int fmu_node_memory(fmu *f) {
-    const ph_plan *p = f->about->model->step;
+    const ph_sizes *p = &f->sizes;
     const fmu_impulses *impulses = f->about->impulses;
     const size_t n = impulses ? (size_t)impulses->n : 0, nu = (size_t)p->nu, k = (size_t)p->k;
     const size_t columns = k * nu + 2 * n, width = (size_t)(p->nx + 1 + p->na);
-    const size_t kept = impulses ? ph_padded(impulses->size(f->in, impulses->ports)) : 0;
+    const size_t kept = impulses ? ph_padded(impulses->size(f->of, impulses->ports)) : 0;
     fmu_nodes *m = &f->nodes;
     char *block =
         calloc(1, kept + sizeof(double) * (2 * n + n * n + columns * (2 * k * nu + nu + n + width)) + 1);
@@ -20,7 +20,7 @@ int fmu_node_memory(fmu *f) {
     m->memory = block;
     m->columns = (int)columns;
     if (impulses)
-        m->impulses = impulses->init(block, f->in, impulses->ports);
+        m->impulses = impulses->init(block, f->of, impulses->ports);
     m->s = (double *)(void *)(block + kept);
     m->jump = m->s + 2 * n;
     m->du = m->jump + n * n;
@@ -34,7 +34,7 @@ int fmu_node_memory(fmu *f) {
 /* Row j of the directions: input j at the nodes, or impulse j of those at the start, then of those at the
  * end. */
 static void unit_directions(const fmu *f) {
-    const ph_plan *p = f->about->model->step;
+    const ph_sizes *p = &f->sizes;
     const fmu_nodes *m = &f->nodes;
     const int inputs = p->k * p->nu, width = p->nx + 1 + p->na;
     memset(m->du, 0, sizeof(double) * (size_t)m->columns * (size_t)inputs);
@@ -45,7 +45,7 @@ static void unit_directions(const fmu *f) {
 
 /* The impulses at the start, or at the end, move the states of all directions on. */
 static void through_impulses(const fmu *f, int end) {
-    const ph_plan *p = f->about->model->step;
+    const ph_sizes *p = &f->sizes;
     const fmu_impulses *impulses = f->about->impulses;
     const fmu_nodes *m = &f->nodes;
     const int n = impulses->n, first = p->k * p->nu + end * n;
@@ -62,11 +62,11 @@ int fmu_node_map(fmu *f) {
     int status;
     unit_directions(f);
     if (!f->about->impulses)
-        return ph_step_along(f->in, &nodes);
+        return ph_step_along(f->of, &nodes);
     through_impulses(f, 0);
-    status = ph_step_along(f->in, &nodes);
+    status = ph_step_along(f->of, &nodes);
     if (status)
         return status;
     through_impulses(f, 1);
-    return ph_end_along(f->in, &ends);
+    return ph_end_along(f->of, &ends);
 }

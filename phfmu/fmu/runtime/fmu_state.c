@@ -34,7 +34,7 @@ static unsigned long long sum_of(const void *bytes, size_t size) {
 
 /* Bytes of the books and of the impulses, which lie between the head and the state of the model. */
 static size_t books_size(const fmu *f) {
-    return FMU_NBOOKS * sizeof(double) * (size_t)f->about->model->step->ncomp;
+    return FMU_NBOOKS * sizeof(double) * (size_t)f->sizes.ncomp;
 }
 
 static size_t impulses_size(const fmu *f) {
@@ -46,14 +46,14 @@ static const fmu_switches *switches(const fmu *f) {
 }
 
 static size_t model_size(const fmu *f) {
-    return switches(f) ? switches(f)->state_size(f) : ph_state_size(f->in);
+    return switches(f) ? switches(f)->state_size(f) : f->map->state_size(f->of);
 }
 
 static void save_model(const fmu *f, void *out) {
     if (switches(f))
         switches(f)->save(f, out);
     else
-        ph_save(f->in, out);
+        f->map->save(f->of, out);
 }
 
 size_t fmu_state_size(const fmu *f) {
@@ -105,7 +105,7 @@ int fmu_restore(fmu *f, const char *function, const void *state) {
         return FMU_ERROR;
     place = (const char *)(from + 1) + books_size(f);
     place += impulses_size(f);
-    status = switches(f) ? switches(f)->load(f, place) : ph_load(f->in, place);
+    status = switches(f) ? switches(f)->load(f, place) : f->map->load(f->of, place);
     place -= impulses_size(f);
     if (status)
         return fmu_refuse(f, "%s: %s", function, ph_status_text(status));
@@ -171,7 +171,7 @@ static const char *fault(const fmu *f, const saved *from) {
             return "an impulse is not finite";
     if (found)
         return found;
-    return switches(f) ? switches(f)->fault(f, place) : ph_state_fault(f->in, place);
+    return switches(f) ? switches(f)->fault(f, place) : f->map->state_fault(f->of, place);
 }
 
 /* What was checked into *state, which is reused if there is one. */

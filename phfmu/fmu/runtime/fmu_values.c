@@ -39,36 +39,38 @@ static const double *block_of(const fmu *f, int block) {
     case FMU_PARAMETER:
     case FMU_TUNABLE:
     case FMU_MODE:
-        return ph_parameters(f->in);
+        return f->map->parameters(f->of);
     case FMU_HAPPENED:
         return f->phase.happened;
+    case FMU_JOINED:
+        return f->map->joined(f->of);
     case FMU_JUMPED:
         return f->books.jumped;
     case FMU_INPUT:
     case FMU_NODE_INPUT:
-        return ph_input(f->in);
+        return f->map->input(f->of);
     case FMU_NODE_OUTPUT:
-        return ph_node_outputs(f->in);
+        return f->map->node_outputs(f->of);
     case FMU_ROW_STORED:
     case FMU_ROW_DISSIPATED:
     case FMU_ROW_SUPPLIED:
     case FMU_ROW_NUMERICAL:
     case FMU_ROW_MOVED:
-        return ph_ledger(f->in, PH_ROW_STORED + block - FMU_ROW_STORED);
+        return f->map->ledger(f->of, PH_ROW_STORED + block - FMU_ROW_STORED);
     case FMU_ROW_PAIRS:
-        return ph_ledger(f->in, PH_ROW_PAIRS);
+        return f->map->ledger(f->of, PH_ROW_PAIRS);
     case FMU_IMPULSE:
         return f->about->impulses->values(f->nodes.impulses);
     case FMU_JUMP:
         return f->nodes.jump;
     default:
-        return ph_signals(f->in) + f->offset[block];
+        return f->map->signals(f->of) + f->offset[block];
     }
 }
 
 /* H - H(start) - booked changes; before the start nothing is asked of the ledger. */
 static double gap_of(const fmu *f, const fmu_variable *v) {
-    const double *energy = ph_signals(f->in) + f->offset[PH_H];
+    const double *energy = f->map->signals(f->of) + f->offset[PH_H];
     double sum = 0.0;
     for (int c = v->first; f->phase.mode != FMU_INITIALIZATION && c < v->first + v->count; c++)
         sum += (energy[c] - f->books.start[c] - f->books.jumped[c]) - f->books.booked[c] + f->books.rest[c];
@@ -76,7 +78,7 @@ static double gap_of(const fmu *f, const fmu_variable *v) {
 }
 
 static double value_of(const fmu *f, const fmu_variable *v) {
-    const ph_plan *p = f->about->model->step;
+    const ph_sizes *p = &f->sizes;
     const double *from;
     double sum;
     if (v->block == FMU_GAP)
@@ -103,7 +105,7 @@ int fmu_get(fmu *f, const char *function, const unsigned *ref, size_t n, double 
         jump = jump || v->block == FMU_JUMP;
     }
     if (stale) {
-        int status = f->phase.mode == FMU_INITIALIZATION ? ph_initialise(f->in) : ph_refresh(f->in);
+        int status = f->phase.mode == FMU_INITIALIZATION ? f->map->initialise(f->of) : f->map->refresh(f->of);
         if (status)
             return fmu_solver(f, function, status);
     }
@@ -139,7 +141,7 @@ static int check_own_range(const fmu *f, const char *function, unsigned ref, dou
 /* Inputs and tunable parameters at any time, other parameters and states until initialization ends. */
 static int check_set(const fmu *f, const char *function, unsigned ref, double value) {
     const fmu_variable *v = find(f, function, ref);
-    const int nx = f->about->model->step->nx;
+    const int nx = f->sizes.nx;
     int start, late;
     if (!v)
         return FMU_ERROR;
@@ -182,7 +184,7 @@ static double *place_of(fmu *f, const fmu_variable *v, int *changed) {
 }
 
 int fmu_held(const fmu *f, const double *u) {
-    const ph_plan *p = f->about->model->step;
+    const ph_sizes *p = &f->sizes;
     for (int i = p->nu; i < p->nu * p->k; i++)
         if (u[i] != u[i - p->nu])
             return 0;
@@ -191,33 +193,33 @@ int fmu_held(const fmu *f, const double *u) {
 
 /* Inputs that are the same at all nodes are held. */
 static int set_inputs(fmu *f) {
-    return fmu_held(f, f->u) ? ph_set_input(f->in, f->u) : ph_set_node_inputs(f->in, f->u);
+    return fmu_held(f, f->u) ? f->map->set_input(f->of, f->u) : f->map->set_node_inputs(f->of, f->u);
 }
 
 void fmu_parameters(fmu *f) {
-    copy(f->p, ph_parameters(f->in), f->about->model->step->np);
+    copy(f->p, f->map->parameters(f->of), f->sizes.np);
     if (f->modes)
         f->about->landing->switches->asked(f, f->p);
 }
 
 int fmu_set_parameters(fmu *f, double *p) {
-    const double *energy = ph_signals(f->in) + f->offset[PH_H];
-    const int nc = f->about->model->step->ncomp;
+    const double *energy = f->map->signals(f->of) + f->offset[PH_H];
+    const int nc = f->sizes.ncomp;
     int status;
     if (f->modes)
         f->about->landing->switches->ask(f, p);
     if (!f->about->jumps || f->phase.mode != FMU_STEP)
-        return ph_set_parameters(f->in, p);
-    status = ph_refresh(f->in);
+        return f->map->set_parameters(f->of, p);
+    status = f->map->refresh(f->of);
     if (status)
         return status;
     copy(f->books.before, energy, nc);
-    copy(f->old, ph_parameters(f->in), f->about->model->step->np);
-    status = ph_set_parameters(f->in, p);
+    copy(f->old, f->map->parameters(f->of), f->sizes.np);
+    status = f->map->set_parameters(f->of, p);
     if (!status)
-        status = ph_refresh(f->in);
+        status = f->map->refresh(f->of);
     if (status) {
-        ph_set_parameters(f->in, f->old);
+        f->map->set_parameters(f->of, f->old);
         return status;
     }
     for (int c = 0; c < nc; c++)
@@ -226,7 +228,7 @@ int fmu_set_parameters(fmu *f, double *p) {
 }
 
 int fmu_set(fmu *f, const char *function, const unsigned *ref, size_t n, const double *values) {
-    const ph_plan *plan = f ? f->about->model->step : NULL;
+    const ph_sizes *plan = f ? &f->sizes : NULL;
     const fmu_impulses *impulses = f ? f->about->impulses : NULL;
     int changed[4] = {0};
     if (fmu_allow(f, function, FMU_INSTANTIATED | FMU_INITIALIZATION | FMU_STEP) ||
@@ -235,8 +237,8 @@ int fmu_set(fmu *f, const char *function, const unsigned *ref, size_t n, const d
     for (size_t i = 0; i < n; i++)
         if (check_set(f, function, ref[i], values[i]))
             return FMU_ERROR;
-    copy(f->x, ph_signals(f->in), plan->nx);
-    copy(f->u, ph_input(f->in), plan->nu * plan->k);
+    copy(f->x, f->map->signals(f->of), plan->nx);
+    copy(f->u, f->map->input(f->of), plan->nu * plan->k);
     fmu_parameters(f);
     if (impulses)
         copy(f->nodes.s, impulses->values(f->nodes.impulses), 2 * impulses->n);
@@ -248,8 +250,9 @@ int fmu_set(fmu *f, const char *function, const unsigned *ref, size_t n, const d
     }
     f->end_known = 0;
     f->phase.crossed |= changed[0] && f->phase.mode == FMU_STEP;
-    if ((changed[0] && fmu_set_parameters(f, f->p)) || (changed[2] && ph_set_x(f->in, fmu_time(f), f->x)) ||
-        (changed[1] && set_inputs(f)) || (changed[3] && impulses->set(f->nodes.impulses, f->nodes.s)))
+    if ((changed[0] && fmu_set_parameters(f, f->p)) ||
+        (changed[2] && f->map->set_x(f->of, fmu_time(f), f->x)) || (changed[1] && set_inputs(f)) ||
+        (changed[3] && impulses->set(f->nodes.impulses, f->nodes.s)))
         return fmu_refuse(f, "%s: the values were refused", function);
     return FMU_OK;
 }

@@ -115,6 +115,16 @@ class Coupled:
         return master(self.joined, self.coupling, bool(self._works.keys), self._threads, held)
 
     @property
+    def compiled(self) -> Master | None:
+        """The steps in compiled code; None where members, coupling or signals have none."""
+        return self._master
+
+    @property
+    def signals_held(self) -> bool:
+        """Whether some signals are held over a step."""
+        return self._signals.any_held
+
+    @property
     def units(self) -> dict[str, str]:
         return dict.fromkeys(self._columns.totals, "J") | self.joined.units | self._sums.units
 
@@ -216,6 +226,14 @@ class Coupled:
             self.last = Solution(Instant().solve(self.joined, self.last.xi, t0), self.last.y)
             self.joined.begin(self.last.xi)
             return
+        if self._master is not None:
+            self._sums.values(self.last.xi)
+            if prepared := self._master.prepare(self.last.xi, t0, h):
+                self.last, self._at_start = Solution(prepared[0], self.last.y), prepared[1]
+                self.joined.apply(self._at_start)
+                self._signals.sample(self._at_start)
+                self.joined.begin(self._at_start)
+                return
         try:
             found = self._tried(t0, h)
         except EndRequested:  # the first step will tell
@@ -278,8 +296,9 @@ class Coupled:
 
     def _compiled(self, parts: list[Steps], grid: tuple[float, float, int], n: int) -> int:
         """Adds as many of n steps as go as usual without returning to Python, if all members can do that; their number."""
-        if self._master is None or not self._sums.known or (self.joined.followed and self._signals.into_ports):
+        if self._master is None or (self.joined.followed and self._signals.into_ports):
             return 0
+        self._sums.find(self.last.xi)
         last, states, samples = self.last, self.joined.states() if self._growth else None, self._signals.state()
         steps, self.last = self._master.advance(last, self._sums, grid, n)
         done = len(steps.H)

@@ -46,7 +46,7 @@ class EndSums:
         self._gathered = np.concatenate([*self._rows, np.zeros(0, int)]).astype(int)
         self._maps: tuple[Any, Any, Any] | None = None
         self._parted: Parted | None = None
-        self._find(face.start)
+        self.find(face.start)
         self.end_names = [end_name(n) for n in face.names]
         self._checked, self._against = self._hidden_rows()
         self.checks = [check_name(Level.VELOCITY, face.names[i]) for i in self._checked]
@@ -78,13 +78,8 @@ class EndSums:
 
     def values(self, xi: Array) -> Array:
         """The columns, with the junction unknowns xi as inputs."""
-        self._find(xi)
+        self.find(xi)
         return self.of_rows(xi[None], self.joined.end_outputs()[None])[0]
-
-    @property
-    def known(self) -> bool:
-        """Whether `of_rows` knows which outputs follow the junction unknowns."""
-        return self._maps is not None
 
     @property
     def hide(self) -> bool:
@@ -124,7 +119,7 @@ class EndSums:
     def require_zero(self, xi: Array) -> None:
         """InconsistentState if joined flows (efforts) of states do not sum to zero."""
         face, network = self.joined.face, self.joined.network
-        self._find(xi)
+        self.find(xi)
         sums = self._sums(xi)
         size = face.summed(np.abs(self.joined.end_outputs()))
         bad = []
@@ -139,7 +134,7 @@ class EndSums:
             rule = "joined flows of states must sum to zero and joined outputs must be equal at the start"
             raise inconsistent(network.name, bad, f"{rule}: change the start values{instead}")
 
-    def _find(self, xi: Array) -> None:
+    def find(self, xi: Array) -> None:
         """P, C^T, Q^T and what is parted, where they are not known; sparse where there are many."""
         if self._maps is not None:
             return

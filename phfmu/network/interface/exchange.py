@@ -154,10 +154,14 @@ class Exchange:
         """One value each and no impulses: what the held inputs of a step are."""
         return not (self.bare or self.wires or self.landing()) and bool((self.k == 1).all())
 
-    def spread(self, xi: Array) -> Array:
-        """Values of the columns, the same at all nodes; of signals as they are now."""
+    def of_columns(self, xi: Array) -> Array:
+        """A value of each column; of signals as they are now."""
         signals = self.joined.sampled[self.wires] - self._offset
-        return np.concatenate([xi, signals, self.relations.values()])[self.columns]
+        return np.concatenate([xi, signals, self.relations.values()])
+
+    def spread(self, xi: Array) -> Array:
+        """Values of the columns, the same at all nodes."""
+        return self.of_columns(xi)[self.columns]
 
     def mean(self, values: Array) -> Array:
         """sum_i b_i xi_i of each column."""

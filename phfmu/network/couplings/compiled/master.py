@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from phfmu.engine.native.structures import Structures
 from phfmu.gradients.quadrature import nodes
-from phfmu.network.couplings.compiled.master_library import HEADER, library
+from phfmu.network.couplings.compiled.master_library import HEADER, START_TRIALS, library
 from phfmu.network.couplings.compiled.master_pattern import Exchanged, Part, Pattern, Told, exchanged
 from phfmu.network.couplings.compiled.shares import Make, Own, own_share, watched
 from phfmu.network.couplings.compiled.solvers import Solver, Tables, solver_of
@@ -59,23 +59,23 @@ class Master:
         self.failure: StepFailure | None = None
         #: threads used last
         self.pace, self.threads = Pace(len(found.parts), threads), 1
-        self._pattern, self._memory = Pattern(found), Structures(HEADER)
+        self._pattern, self.memory = Pattern(found), Structures(HEADER)
         self._lib = library()
         self._inputs: list[Array] = []
         #: held signals that members take but by ports, as they are now
         self._taken = [np.zeros(len(p.taken)) for p in found.parts]
-        self._own = [make(p, self._memory, self._lib) for make, p in zip(makes, found.parts, strict=True)]
+        self._own = [make(p, self.memory, self._lib) for make, p in zip(makes, found.parts, strict=True)]
         self._signals, self._held = signals, None if signals is None else self._held_wires(signals)
         shares = [self._share(i, own) for i, own in enumerate(self._own)]
-        tables = Tables(joined, found, self._pattern, self._memory, self._lib, np.zeros(found.size))
+        tables = Tables(joined, found, self._pattern, self.memory, self._lib, np.zeros(found.size))
         self._z = tables.z
         self._solver: Solver = solver_of(coupling)(coupling, tables)
         #: the solution and length of the last step that was taken here, which the memory of the loop goes on from
         self._left: tuple[Solution, float] | None = None
         #: steps that were taken here;  rules of the iteration (`ph_rules`)
-        self.taken, self.rules = 0, self._memory.fill("ph_rules", self._rules())
-        self._array = self._memory.array(shares)
-        self._struct = self._memory.fill("ph_master", self._values())
+        self.taken, self.rules = 0, self.memory.fill("ph_rules", self._rules())
+        self._array = self.memory.array(shares)
+        self._struct = self.memory.fill("ph_master", self._values())
         self._lib.ph_master_lu_init(ctypes.addressof(self._struct))
 
     def advance(self, last: Solution, sums: EndSums, grid: tuple[float, float, int], n: int) -> tuple[Steps, Solution]:
@@ -93,10 +93,49 @@ class Master:
             first, n = first + k, n - k if len(steps.H) == k else 0
         return Steps.joined(parts) if parts else Steps.stacked([]), last
 
+    def prepare(self, guess: Array, t0: float, h: float) -> tuple[Array, Array] | None:
+        """Junction unknowns before the first step: means of a trial step, and those of the instant; None: this one cannot.
+
+        `guess`: where the trial starts from.  The members stay where they are.
+        """
+        if not self._solver.prepares:
+            return None
+        e, s, n = self.found, self._struct, len(self.joined.face.names)
+        start, (mean, begin) = self._solver.spread(guess), np.zeros((2, e.columns))
+        rows = [np.empty((1, own.values["length"])) for own in self._own]
+        given = [self._given(i, (t0, h, 0), 1) for i in range(len(rows))]
+        for struct, row, followed in zip(self._array, rows, given, strict=True):
+            struct.record = row.ctypes.data
+            struct.given = None if followed is None else followed.ctypes.data
+        xi, trials, accepted = np.empty((1, 2 * e.columns)), np.zeros(1, np.int32), np.zeros(1, np.int32)
+        s.xi, s.trials, s.accepted, s.work, s.cost = (
+            xi.ctypes.data,
+            trials.ctypes.data,
+            accepted.ctypes.data,
+            None,
+            None,
+        )
+        samples = self._begin_held(1)
+        arrays = (start.ctypes.data, mean.ctypes.data, begin.ctypes.data)
+        with watched(self._own):
+            status = self._lib.ph_master_prepare(ctypes.addressof(s), t0, h, *arrays)
+        del samples
+        self.failure = next((f for own in self._own if (f := own.failure())), None)
+        return None if status or self.failure else (mean[:n], begin[:n])
+
+    @property
+    def solver(self) -> str:
+        """Name of its solver, less `ph_solver_`."""
+        return self._solver.name
+
+    def spread(self, xi: Array) -> Array:
+        """Values of all columns, those of junctions being xi."""
+        return self._solver.spread(xi)
+
     def timed(self) -> Array:
         """Seconds of PARTS, to which the loop adds from now on, where one thread runs it: two readings of a clock a call."""
         spent = np.zeros(len(PARTS))
-        clock = self._memory.fill("ph_clock", {"spent": spent, "last": 0.0, "part": 0})
+        clock = self.memory.fill("ph_clock", {"spent": spent, "last": 0.0, "part": 0})
         for struct in (self._struct, *self._array):
             struct.clock = ctypes.addressof(clock)
         return spent
@@ -197,7 +236,7 @@ class Master:
             "y": np.zeros(kn + nu), "dy": np.zeros((all_, kn)), "dend": np.zeros((all_, nu)),
             "across": np.zeros((len(part.row), all_)), "jump": np.zeros(part.kicks**2), "record": None, "clock": None,
         }  # fmt: skip
-        return self._memory.fill("ph_share", values)
+        return self.memory.fill("ph_share", values)
 
     def _held_wires(self, signals: HeldSignals) -> Any:
         e, joined, wires = self.found, self.joined, signals.held
@@ -218,7 +257,7 @@ class Master:
             **{name: np.zeros(n) for name in ("now_kept", "before_kept", "values")},
         }  # fmt: skip
         self._before: Array = values["before"]
-        return self._memory.fill("ph_held", values)
+        return self.memory.fill("ph_held", values)
 
     def _begin_held(self, n: int) -> Array | None:
         """Room for the samples of n steps; what members have taken is what was sampled last."""
@@ -243,6 +282,8 @@ class Master:
         e, p, n = self.found, self._pattern, self.found.size
         square = int(e.square[-1])
         angles = (2 * np.arange(POINTS) + 1) * np.pi / (4 * POINTS)
+        nominal = np.full(e.columns, np.inf)  # signals are no columns
+        nominal[: len(self.joined.face.names)] = self.joined.face.nominal
         work = {name: np.zeros(n) for name in ("rows", "size", "move", "scale", "plain")}
         work |= {name: np.zeros(square) for name in ("S0", "S1", "mixed", "T")}
         work |= {name: np.zeros(len(e.bare)) for name in ("moved", "sums")}
@@ -256,7 +297,9 @@ class Master:
             "ncluster": len(e.cluster) - 1, "nahead": len(e.ahead), "nnz": len(p.rowind), "capacity": p.capacity,
             "nwire": len(e.wires), "factor": e.factors,
             **{f"wire_{name}": e.wires[:, i].copy() for i, name in enumerate(("source", "output", "target", "input"))},
-            "points": POINTS, "cosines": np.cos(angles) ** 2, "weights": e.weights, "at_end": e.at_ends, "column": e.column,
+            "points": POINTS, "cosines": np.cos(angles) ** 2, "weights": e.weights, "at_end": e.at_ends,
+            "at_begin": e.at_starts, "nominal": nominal, "column": e.column,
+            "tried": np.zeros(2 * START_TRIALS * e.columns), "refused": 0,
             "bare_column": e.bare, "skew_row": e.skew_row, "skew_col": e.skew_col, "skew_entry": p.skew, "skew": e.skew,
             "least": e.least, "cluster": e.cluster, "square": e.square, "law_entry": p.law, "own_entry": p.own,
             "signs": e.signs, "ahead_to": e.ahead_to, "ahead_from": e.ahead_from, "ahead": e.ahead,

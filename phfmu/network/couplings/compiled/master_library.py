@@ -9,6 +9,7 @@ from pathlib import Path
 from phfmu.engine.native.library import drivers
 from phfmu.engine.native.structures import Header
 from phfmu.network.couplings.acceptance import RULES
+from phfmu.outcome.limits import defined
 
 RUNTIME = Path(__file__).parent.parent / "runtime"
 #: prefixes of the versions of the standard whose functions it calls
@@ -30,6 +31,8 @@ STRUCTURES = (
     "ph_in_turn",
     "ph_held",
 )
+#: steps that tell the start of a run
+START_TRIALS = int(defined(RUNTIME / "master.h")["START_TRIALS"])
 HEADER = Header(HEADERS, STRUCTURES)
 
 
@@ -45,6 +48,8 @@ def library() -> ctypes.CDLL:
         integer,
         [pointer, *[ctypes.c_double] * 2, integer, ctypes.c_longlong, integer],
     )
+    prepare = lib.ph_master_prepare
+    prepare.restype, prepare.argtypes = integer, [pointer, *[ctypes.c_double] * 2, *[pointer] * 3]
     lib.ph_crew_size.restype, lib.ph_crew_size.argtypes = ctypes.c_size_t, []
     lib.ph_matrix_factor.restype, lib.ph_matrix_factor.argtypes = integer, [pointer]
     solvers = (f"ph_solver_{name}" for name in ("newton", "anderson", "in_turn"))

@@ -75,6 +75,7 @@ class Exchanged:
     columns: int
     weights: Array
     at_ends: Array
+    at_starts: Array
     column: Ints
     bare: Ints
     place: Ints
@@ -122,6 +123,7 @@ def exchanged(joined: Joined, coupling: Coupling, held: Sequence[Wire] = ()) -> 
         e = coupling.exchange
         shares, columns, C, weights, k, bare = e.shares, e.columns, e.C, e.weights, e.counts, e.bare
         clusters, nominal, at_ends = e.clusters, e.row_nominal, e.at_ends
+        at_starts = np.concatenate([*(nodes(int(n)).value(0.0) for n in k), np.zeros(0)])
     else:
         n = len(joined.face.names)
         k, columns = np.ones(n, int), np.arange(n)
@@ -129,7 +131,7 @@ def exchanged(joined: Joined, coupling: Coupling, held: Sequence[Wire] = ()) -> 
         shares = [
             _held(m, p, *joined.reach(i)) for i, (m, p) in enumerate(zip(joined.members, joined.places, strict=True))
         ]
-        clusters, nominal, at_ends = Clusters([], 0), joined.face.row_nominal, weights
+        clusters, nominal, at_ends, at_starts = Clusters([], 0), joined.face.row_nominal, weights, weights
     place = np.concatenate([*clusters.of, np.zeros(0, int)]).astype(np.int32)
     cluster = np.cumsum([0, *map(len, clusters.of)]).astype(np.int32)
     skew, where = coo_array(C), np.argsort(place)
@@ -138,7 +140,7 @@ def exchanged(joined: Joined, coupling: Coupling, held: Sequence[Wire] = ()) -> 
     to, from_, values = _ahead(k)
     return Exchanged(
         [_part(s, where, len(columns), *_held_signals(joined, s.values.member, held)) for s in shares],
-        len(k), weights, at_ends, columns.astype(np.int32), bare, place,
+        len(k), weights, at_ends, at_starts, columns.astype(np.int32), bare, place,
         skew.row.astype(np.int32), skew.col.astype(np.int32), skew.data,
         least, cluster, np.append(0, np.cumsum(np.diff(cluster) ** 2)).astype(np.int32),
         (-1.0) ** k[bare],

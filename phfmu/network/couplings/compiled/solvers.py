@@ -46,14 +46,19 @@ class Solver(Protocol):
 
     name:        of the function that tells it, less `ph_solver_`
     held:        whether members exchange one held value each;  iterations: trials at most
-    repeats:     whether it takes a step more than once, so that threads gain from trials
+    prepares:    whether it finds the junction unknowns before the first step
     fields:      of `ph_master` that are its own
     """
 
     name: str
     held: bool
     iterations: int
+    prepares: bool
     fields: dict[str, Any]
+
+    def spread(self, xi: Array) -> Array:
+        """Values of all columns, those of junctions being xi; where it prepares."""
+        ...
 
     def begin(self, struct: Any, last: Solution, h: float) -> bool:
         """The first step starts from `last`, which this has not left; whether as its continuation."""
@@ -67,13 +72,16 @@ class Solver(Protocol):
 class NewtonSolver:
     """`found`: unknowns of the last step;  `missed`: what the continuations of the last ones missed."""
 
-    name, iterations = "newton", ITERATIONS
+    name, iterations, prepares = "newton", ITERATIONS, True
 
     def __init__(self, coupling: Newton | NodeNewton, t: Tables):
         self._coupling, self._t = coupling, t
         self.held = isinstance(coupling, Newton)
         self._found, self._missed = np.zeros(t.found.size), np.zeros((KNOWN, t.found.size))
         self.fields = {"found": self._found, "missed": self._missed, "memory": None}
+
+    def spread(self, xi: Array) -> Array:
+        return xi.copy() if isinstance(self._coupling, Newton) else self._coupling.exchange.of_columns(xi)
 
     def begin(self, struct: Any, last: Solution, h: float) -> bool:
         e, coupling = self._t.found, self._coupling
@@ -102,7 +110,7 @@ class NewtonSolver:
 class AndersonSolver:
     """Its differences, which a step may add `anderson.ITERATIONS` to."""
 
-    name, held, iterations = "anderson", True, anderson.ITERATIONS
+    name, held, iterations, prepares = "anderson", True, anderson.ITERATIONS, False
 
     def __init__(self, _: Anderson, t: Tables):
         self._t, n = t, t.found.nodes
@@ -119,6 +127,9 @@ class AndersonSolver:
         self._own = t.memory.fill("ph_anderson", values)
         nothing = np.zeros(0)
         self.fields = {"found": nothing, "missed": nothing, "memory": ctypes.addressof(self._own)}
+
+    def spread(self, xi: Array) -> Array:
+        return xi
 
     def begin(self, struct: Any, last: Solution, h: float) -> bool:
         t, own = self._t, self._own
@@ -146,7 +157,7 @@ class AndersonSolver:
 class InTurnSolver:
     """Groups of members that step one after the other."""
 
-    name, held, iterations = "in_turn", True, 1
+    name, held, iterations, prepares = "in_turn", True, 1, False
 
     def __init__(self, coupling: GaussSeidel | Jacobi, t: Tables):
         self._t, e = t, t.found
@@ -175,6 +186,9 @@ class InTurnSolver:
         self._own = t.memory.fill("ph_in_turn", values)
         nothing = np.zeros(0)
         self.fields = {"found": nothing, "missed": nothing, "memory": ctypes.addressof(self._own)}
+
+    def spread(self, xi: Array) -> Array:
+        return xi
 
     def begin(self, struct: Any, last: Solution, h: float) -> bool:
         self._t.z[:] = last.xi

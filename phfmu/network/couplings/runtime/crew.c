@@ -47,7 +47,8 @@ typedef pthread_cond_t signal_t;
 /* Parts are taken several at once, so that each thread comes back a few times. */
 #define TURNS 8
 
-struct ph_crew {
+typedef struct crew {
+    ph_crew base;
     lock_t lock;
     signal_t work;
     signal_t done;
@@ -60,37 +61,24 @@ struct ph_crew {
     int block;
     void (*part)(void *, int);
     void *with;
-};
+} crew;
 
 size_t ph_crew_size(void) {
-    return sizeof(ph_crew);
-}
-
-ph_crew *ph_crew_init(void *memory) {
-    ph_crew *c = memory;
-    LOCK_INIT(&c->lock);
-    SIGNAL_INIT(&c->work);
-    SIGNAL_INIT(&c->done);
-    atomic_init(&c->round, 0);
-    atomic_init(&c->next, 0);
-    atomic_init(&c->left, 0);
-    atomic_init(&c->stop, 0);
-    c->helpers = 0;
-    return c;
+    return sizeof(crew);
 }
 
 /* What a thread waits for: the next round, the end of this one. */
-static int no_round(ph_crew *c, int seen) {
+static int no_round(crew *c, int seen) {
     return atomic_load(&c->round) == seen && !atomic_load(&c->stop);
 }
 
-static int others_left(ph_crew *c, int seen) {
+static int others_left(crew *c, int seen) {
     (void)seen;
     return atomic_load(&c->left) > 0;
 }
 
 /* Until there is nothing to wait for or a thread had better sleep. */
-static void look(ph_crew *c, int (*waits)(ph_crew *, int), int seen) {
+static void look(crew *c, int (*waits)(crew *, int), int seen) {
     for (int i = 0; i < LOOKS + YIELDS && waits(c, seen); i++)
         if (i < LOOKS)
             PAUSE();
@@ -98,7 +86,7 @@ static void look(ph_crew *c, int (*waits)(ph_crew *, int), int seen) {
             YIELD();
 }
 
-static void take(ph_crew *c) {
+static void take(crew *c) {
     for (;;) {
         const int first = atomic_fetch_add(&c->next, c->block), end = first + c->block;
         if (first >= c->n)
@@ -108,7 +96,42 @@ static void take(ph_crew *c) {
     }
 }
 
-void ph_crew_help(ph_crew *c) {
+static void each(ph_crew *of, int n, void (*part)(void *, int), void *with) {
+    crew *c = (crew *)of;
+    LOCK(&c->lock);
+    c->n = n;
+    c->block = n / (TURNS * (c->helpers + 1)) + 1;
+    c->part = part;
+    c->with = with;
+    atomic_store(&c->next, 0);
+    atomic_store(&c->left, c->helpers);
+    atomic_fetch_add(&c->round, 1);
+    WAKE_ALL(&c->work);
+    UNLOCK(&c->lock);
+    take(c);
+    look(c, others_left, 0);
+    LOCK(&c->lock);
+    while (others_left(c, 0))
+        WAIT(&c->done, &c->lock);
+    UNLOCK(&c->lock);
+}
+
+ph_crew *ph_crew_init(void *memory) {
+    crew *c = memory;
+    c->base.each = each;
+    LOCK_INIT(&c->lock);
+    SIGNAL_INIT(&c->work);
+    SIGNAL_INIT(&c->done);
+    atomic_init(&c->round, 0);
+    atomic_init(&c->next, 0);
+    atomic_init(&c->left, 0);
+    atomic_init(&c->stop, 0);
+    c->helpers = 0;
+    return &c->base;
+}
+
+void ph_crew_help(ph_crew *of) {
+    crew *c = (crew *)of;
     int seen;
     LOCK(&c->lock);
     c->helpers++;
@@ -135,33 +158,10 @@ void ph_crew_help(ph_crew *c) {
     }
 }
 
-void ph_crew_end(ph_crew *c) {
+void ph_crew_end(ph_crew *of) {
+    crew *c = (crew *)of;
     LOCK(&c->lock);
     atomic_store(&c->stop, 1);
     WAKE_ALL(&c->work);
-    UNLOCK(&c->lock);
-}
-
-void ph_crew_each(ph_crew *c, int n, void (*part)(void *, int), void *with) {
-    if (!c || n < 2) {
-        for (int i = 0; i < n; i++)
-            part(with, i);
-        return;
-    }
-    LOCK(&c->lock);
-    c->n = n;
-    c->block = n / (TURNS * (c->helpers + 1)) + 1;
-    c->part = part;
-    c->with = with;
-    atomic_store(&c->next, 0);
-    atomic_store(&c->left, c->helpers);
-    atomic_fetch_add(&c->round, 1);
-    WAKE_ALL(&c->work);
-    UNLOCK(&c->lock);
-    take(c);
-    look(c, others_left, 0);
-    LOCK(&c->lock);
-    while (others_left(c, 0))
-        WAIT(&c->done, &c->lock);
     UNLOCK(&c->lock);
 }

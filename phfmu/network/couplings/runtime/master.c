@@ -4,8 +4,7 @@
 #include "master.h"
 #include "system.h"
 
-/* All members, also if one of them cannot be brought back. */
-static void restore(ph_master *m) {
+void ph_master_restore(ph_master *m) {
     for (int i = 0; i < m->nshare; i++)
         m->shares[i].kind->restore(&m->shares[i]);
 }
@@ -46,6 +45,12 @@ static void record(ph_master *m, double h, int row) {
         xi[m->bare_column[b]] += (m->z[m->nxi + b] + m->z[m->nxi + m->nbare + b]) / h;
 }
 
+void ph_master_spread(ph_master *m, const double *xi) {
+    for (int i = 0; i < m->nxi; i++)
+        m->z[i] = xi[m->column[i]];
+    ph_clear(m->z + m->nxi, 2 * m->nbare);
+}
+
 int ph_master_run(ph_master *m, double t0, double h, int n, long long first, int next) {
     const ph_solver *solver = m->solver;
     int done = 0, status;
@@ -72,7 +77,7 @@ int ph_master_run(ph_master *m, double t0, double h, int n, long long first, int
         if (status == PH_OK)
             status = ph_shares_finish(m, done);
         if (status) {
-            restore(m);
+            ph_master_restore(m);
             ph_held_drop(m);
             if (solver->drop)
                 solver->drop(m);
@@ -84,6 +89,7 @@ int ph_master_run(ph_master *m, double t0, double h, int n, long long first, int
         if (solver->keep)
             solver->keep(m, done || next);
     }
+    m->refused = status;
     ph_lap(m->clock, PH_JOINING);
     return done;
 }

@@ -35,6 +35,7 @@ typedef struct ph_kind {
     int (*record)(const struct ph_share *, double *to); /* energies and outputs now, a row of the step */
     int (*tell)(const struct ph_share *);               /* held signals that it sends now */
     int (*take)(const struct ph_share *);               /* held signals that it takes from now on */
+    void (*forget)(const struct ph_share *);            /* what solves start from; NULL: that is not known */
 } ph_kind;
 
 /* A member's part. Its directions are: ninput inputs at nodes, nbare impulses at the start, nbare at the end.
@@ -93,6 +94,9 @@ typedef struct ph_share {
 struct ph_master;
 struct ph_trial;
 
+/* Steps that tell the start, each half of the one before. */
+#define PH_START_TRIALS 10
+
 /* How a coupling finds the unknowns z of a step: where it starts from, what members are asked in a trial, and
  * how z moves between trials. NULL: nothing is done; without `move` the first trial is the step. */
 typedef struct ph_solver {
@@ -122,10 +126,13 @@ typedef struct ph_master {
     int nwire;
     int known;              /* rows of missed that are known */
     int row;                /* of the step that is taken */
+    int refused;            /* ph_status of the step that was not accepted */
     int points;             /* of the rule for the root of impulses */
     const double *cosines;  /* points: cos^2 t_l */
     const double *weights;  /* nxi */
     const double *at_end;   /* nxi: the basis of each unknown at the end of the step */
+    const double *at_begin; /* nxi: and at its start */
+    const double *nominal;  /* ncolumn: sizes of common variables */
     const int *column;      /* nxi: common variable of each unknown */
     const int *bare_column; /* nbare */
     const int *skew_row;    /* nskew: rows at nodes += value * unknown */
@@ -167,6 +174,7 @@ typedef struct ph_master {
     double *moved;   /* nbare: T m */
     double *sums;    /* nbare: of outputs before the step */
     void *lu;        /* ph_lu with room for its parts behind it */
+    double *tried;   /* 2*PH_START_TRIALS*ncolumn: estimates of common variables at a start */
     double *xi;      /* a row a step, 2*ncolumn: common variables, means, then at the end */
     double *work;    /* a row a step: energy of each unknown at its junction, nz; NULL: not wanted */
     ph_crew *crew;   /* threads that help, or NULL */
@@ -193,10 +201,21 @@ PH_API void ph_master_lu_init(ph_master *m);
  * `found`. Returns how many were accepted: fewer than n if one was not, before which the members are then. */
 PH_API int ph_master_run(ph_master *m, double t0, double h, int n, long long first, int next);
 
+/* z of a first step, or of one that is not the continuation of the one before: constants of xi (ncolumn). */
+PH_API void ph_master_spread(ph_master *m, const double *xi);
+/* start.c: common variables before the first step of length h, where no step has ended: those of the instant
+ * (begin), and the means of a trial step, which is where the first one starts from. guess, mean, begin:
+ * ncolumn. The members stay where they are. Steps of xi, trials and accepted are to have room for one row. */
+PH_API int ph_master_prepare(ph_master *m, double t0, double h, const double *guess, double *mean,
+                             double *begin);
+
 /* The solvers. */
 PH_API const ph_solver *ph_solver_newton(void);
 PH_API const ph_solver *ph_solver_anderson(void);
 PH_API const ph_solver *ph_solver_in_turn(void);
+
+/* master.c: all members where they were when the step began, also if one of them cannot be brought back. */
+void ph_master_restore(ph_master *m);
 
 /* trial.c: S0 and sums before a step; a trial of all members at once; ph_energy_left of it. */
 int ph_trial_before(ph_master *m);

@@ -150,8 +150,13 @@ static int take(const ph_share *s) {
     return joining(s, ph_set_parameters(m->in, m->p));
 }
 
+static void forget(const ph_share *s) {
+    const ph_native *m = s->of;
+    ph_forget(m->in);
+}
+
 const ph_kind *ph_kind_native(void) {
     static const ph_kind native = {keep,  restore, step,   refresh, jump, more,
-                                   along, present, record, tell,    take};
+                                   along, present, record, tell,    take, forget};
     return &native;
 }

@@ -1,0 +1,75 @@
+/* What is done to whatever takes steps: a model, or the coupled members of a network.
+ *
+ * A step map takes (state, inputs at the nodes of a step) to (state, outputs at the nodes, ledger); it can be
+ * saved, and restored to the bit. Its values stand in tables of the blocks of phfmu.h. Who drives one, a unit
+ * or a run, calls it through these functions, each with what the map is `of`; they answer a ph_status, and
+ * after a refused step the map is exactly where it was. */
+#ifndef PH_STEP_MAP_H
+#define PH_STEP_MAP_H
+
+#include "phfmu.h"
+
+/* The sizes of the blocks. */
+typedef struct ph_sizes {
+    int nx;
+    int na;
+    int nu;
+    int nq;
+    int np;
+    int nobs;
+    int ncomp;
+    int k;                 /* values of each input: the nodes of a step */
+    const double *weights; /* k */
+} ph_sizes;
+
+/* As the functions of phfmu.h of these names; `about`: what is constant of the map, a ph_model or a
+ * ph_network. */
+typedef struct ph_step_map {
+    void (*sizes)(const void *about, ph_sizes *sizes);
+    size_t (*size)(const void *about);
+    int (*init)(void *memory, const void *about);
+    void (*release)(void *of); /* what init has allocated besides; NULL: nothing */
+    int (*reset)(void *of);
+    int (*initialise)(void *of);
+    int (*refresh)(void *of);
+    int (*set_x)(void *of, double t, const double *x);
+    int (*set_parameters)(void *of, const double *p);
+    int (*set_input)(void *of, const double *u);
+    int (*set_node_inputs)(void *of, const double *u);
+    int (*step_parts)(void *of, double t, double h, int n);
+    int (*skip)(void *of, double t);
+    const double *(*signals)(const void *of);
+    const double *(*ledger)(const void *of, int row);
+    const double *(*parameters)(const void *of);
+    const double *(*input)(const void *of);
+    const double *(*node_outputs)(const void *of);
+    const long long *(*counts)(const void *of);
+    const ph_report *(*report)(const void *of);
+    int (*part)(const void *of); /* the part whose equations the report is about: a member's number */
+    int (*sensitivity)(void *of, double *s);
+    int (*sensitivity_end)(void *of, double *s);
+    int (*kept_size)(const void *about);
+    void (*keep)(const void *of, double *kept);
+    void (*join)(void *of, const double *kept, double part);
+    size_t (*state_size)(const void *of);
+    void (*save)(const void *of, void *out);
+    int (*load)(void *of, const void *from);
+    const char *(*state_fault)(const void *of, const void *from);
+    const double *(*joined)(const void *of); /* what only the whole tells: values at its junctions, or NULL */
+} ph_step_map;
+
+void ph_sizes_of(const ph_model *model, ph_sizes *sizes);
+
+/* The map of a model, `of` its instance. */
+PH_API const ph_step_map *ph_map_model(void);
+
+/* offset: PH_NBLOCK+1 places of the blocks in the table of signals, the last one its length. */
+static inline void ph_places(const ph_sizes *s, int *offset) {
+    const int length[PH_NBLOCK] = {s->nx,    1,        s->na, s->nq, s->nq,   s->ncomp,
+                                   s->ncomp, s->ncomp, s->na, s->nq, s->nobs, s->ncomp};
+    offset[0] = 0;
+    for (int i = 0; i < PH_NBLOCK; i++)
+        offset[i + 1] = offset[i] + length[i];
+}
+
+#endif

@@ -1,0 +1,1 @@
+"""A network whose members stay apart in one unit, joined by the master inside."""

@@ -1,0 +1,57 @@
+"""Export of a network whose members stay apart as Functional Mock-up Units."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
+
+from phfmu.fmu.export.export import rows_of, written
+from phfmu.fmu.export.schedule import UnitEvent
+from phfmu.fmu.export.variables import FMUError
+from phfmu.fmu.version import VERSIONS, Version
+from phfmu.network.as_unit.unit import coupled_members, network_unit, with_fed_inside
+from phfmu.network.network import Network
+from phfmu.schemes.scheme import Scheme
+from phfmu.words import meant
+
+
+def export_network(
+    network: Network,
+    directory: str | Path,
+    schemes: Mapping[str, Scheme],
+    versions: Sequence[str | Version] = tuple(VERSIONS),
+    *,
+    step: float,
+    stop: float | None = None,
+    platforms: Sequence[str] | None = None,
+    ledger_outputs: bool = True,
+    terminals: bool = True,
+    left_out: Sequence[str] = (),
+    arrays: bool = False,
+    outward: Sequence[str] = (),
+    tunable: Collection[str] = (),
+    events: Sequence[UnitEvent] = (),
+) -> list[Path]:
+    """Write a network as units whose members are stepped apart, each by its scheme, and joined by the Newton coupling inside.
+
+    `tunable`, `events`, `outward`: of members, `member.name`; all else as of `export`.  Errors: FMUError for members that the
+    master inside does not step: units of other tools, state events, signals held over steps.
+    """
+    rows = rows_of(versions)
+    network = with_fed_inside(network, [e.name for e in events])
+    whole, models = coupled_members(network, schemes)
+    parameters = [
+        (f"{name}.", v) for name, m in zip(network.declared, models, strict=True) for v in m.declaration.parameters
+    ]
+    known = {at + n: [at + n] for at, v in parameters for n in v.names()}
+    known |= {at + v.name: [at + n for n in v.names()] for at, v in parameters}
+    if lost := [n for n in [*tunable, *(e.name for e in events)] if n not in known]:
+        raise FMUError(f"{network.name} has no parameter '{lost[0]}' to be tunable; {meant(lost[0], known)}")
+    scalars = frozenset(n for name in [*tunable, *(e.name for e in events)] for n in known[name])
+    ordered = sorted(events, key=lambda e: e.t)
+    inside = tuple(UnitEvent(e.t, n, e.value) for e in ordered for n in known[e.name])
+    unit = network_unit(
+        network, whole, models, step=step, stop=stop, ledger_outputs=ledger_outputs, terminals=terminals,
+        left_out=tuple(left_out), arrays=arrays, outward=tuple(outward), tunable=scalars, events=inside,
+    )  # fmt: skip
+    return written(unit, directory, rows, platforms)

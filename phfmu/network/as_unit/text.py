@@ -1,0 +1,166 @@
+"""C text of coupled members: a `ph_network` with the tables of the members and those of the master.
+
+The tables are what Python gives the compiled master of a run; what that writes to is memory of the unit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from phfmu.discretise.model import Model
+from phfmu.engine.build.codegen import kernel_table, port_text, tangent_text
+from phfmu.engine.build.kernels import Kernels
+from phfmu.engine.build.tables import ARRAYS, array_text, c_text
+from phfmu.engine.impulses import port_kernels
+from phfmu.engine.model import kernels
+from phfmu.fmu.xml import number
+from phfmu.network.couplings.compiled.master import Master
+from phfmu.network.couplings.compiled.master_library import HEADER
+from phfmu.network.couplings.coupled import Coupled
+
+#: fields that the unit fills in itself
+_OWN = {
+    "ph_share": {"kind", "of", "free", "given", "outputs", "energies", "end", "clock"},
+    "ph_native": {"in", "kicks", "chain", "signals", "values", "kept", "copied", "kept_values"},
+    "ph_master": {"solver", "memory", "held", "rules", "shares", "lu", "work", "crew", "cost", "clock"},
+}
+
+
+@dataclass
+class Tables:
+    """Text of the tables, and the memory that is laid out for what is written to (bytes)."""
+
+    arrays: list[str] = field(default_factory=list)
+    room: int = 0
+
+    def struct(self, kind: str, name: str, values: Mapping[str, Any]) -> tuple[str, list[str]]:
+        """What initialises a structure, and where its pointers into the memory go: rows of ph_room."""
+        members, rooms = [], []
+        for f in HEADER.fields[kind]:
+            value = values[f.name]
+            if f.name in _OWN[kind]:
+                continue
+            if not f.pointer:
+                members.append(f".{f.name} = {value!r}")
+                continue
+            array = np.ascontiguousarray(value, ARRAYS.get(f.ctype, np.float64)).ravel()
+            if f.constant and array.size:
+                self.arrays.append(array_text(f.ctype, f"{name}_{f.name}", array))
+                members.append(f".{f.name} = {name}_{f.name}")
+            elif not f.constant:
+                rooms.append(f"{{offsetof({kind}, {f.name}), {self.room}}}")
+                self.room += -(-array.nbytes // 16) * 16
+        return "{" + ", ".join(members) + "}", rooms
+
+
+def network_files(whole: Coupled, master: Master, models: Sequence[Model], step: float) -> dict[str, str]:
+    """kernels, tangents, models and ports of all members, and network.c: file name -> text; alike members share theirs."""
+    kicked = [native["kicks"] is not None for native in _filled(master, "ph_native")]
+    ports = [port_kernels(m.declaration) if k else None for m, k in zip(models, kicked, strict=True)]
+    files, groups = dict[str, str](), dict[Any, list[int]]()
+    for i, model in enumerate(models):
+        own = None if model.step.schur is None else i  # its solver is compiled for it alone
+        groups.setdefault((Kernels(kernels(model)).token, own), []).append(i)
+    for first, *_ in (numbers := list(groups.values())):
+        alike = [models[i] for i in next(n for n in numbers if n[0] == first)]
+        table = kernel_table([k for m in alike for k in kernels(m)], alike[0].step.schur, f"ph_code{first}")
+        files[f"kernels{first}.c"] = table.text
+        plans = [plan for m in alike for plan in (m.step, m.instant)]
+        files[f"tangents{first}.c"] = tangent_text(table, *plans, symbol=f"ph_tangents{first}")
+        for i in next(n for n in numbers if n[0] == first):
+            tangents = f"ph_tangents{first}" if models[i].step.nu else "0"
+            files[f"member{i}.c"] = c_text(models[i], table.index, f"ph_member{i}", tangents, f"ph_code{first}")
+    made: dict[int, int] = {}
+    for i, k in enumerate(ports):
+        if k is not None and made.setdefault(id(k), i) == i:
+            files[f"ports{i}.c"] = port_text(k, f"ph_ports{i}")
+    places = [None if k is None else made[id(k)] for k in ports]
+    return files | {"network.c": _network_text(whole, master, places, step)}
+
+
+def _filled(master: Master, kind: str) -> list[Mapping[str, Any]]:
+    return [values for name, values in master.memory.filled if name == kind]
+
+
+def _network_text(whole: Coupled, master: Master, ports: Sequence[int | None], step: float) -> str:
+    tables, rows = Tables(), []
+    externs = ""
+    shares, natives = _filled(master, "ph_share"), _filled(master, "ph_native")
+    for i, (share, native, port) in enumerate(zip(shares, natives, ports, strict=True)):
+        length = np.zeros(share["length"])
+        s, own = tables.struct("ph_share", f"share{i}", {**share, "record": length})
+        n, more = tables.struct("ph_native", f"native{i}", native)
+        tables.arrays.append(_rooms(f"rooms{i}", [*own, *more]))
+        externs += f"extern const ph_model ph_member{i};\n"
+        externs += "" if port is None else f"extern const ph_ports ph_ports{port};\n"
+        rows.append(
+            f"    {{.model = &ph_member{i}, .ports = {'0' if port is None else f'&ph_ports{port}'},\n"
+            f"     .share = {s},\n     .native = {n},\n"
+            f"     .held = {int(master.found.parts[i].held)}, .nroom = {len(own)}, .nnative = {len(more)}, .rooms = rooms{i}}},\n"
+        )
+    (values,) = _filled(master, "ph_master")
+    one = np.zeros(1, np.int32)
+    memory = {"xi": np.zeros(2 * values["ncolumn"]), "trials": one, "accepted": one}
+    m, rooms = tables.struct("ph_master", "master", {**values, **memory})
+    (rules,) = _filled(master, "ph_rules")
+    first, pairs = junction_pairs(whole)
+    lists = {
+        "start": ("double", master.spread(whole.joined.face.start)), "free": ("double", whole.joined.free),
+        "junction": ("int", first), "pair": ("int", pairs),
+    }  # fmt: skip
+    for name, (ctype, array) in lists.items():
+        if len(array):
+            tables.arrays.append(array_text(ctype, f"network_{name}", np.asarray(array, ARRAYS[ctype])))
+    tables.arrays.append(_rooms("rooms", rooms))
+    given = "".join(f"    .{n} = {f'network_{n}' if len(a) else '0'},\n" for n, (_, a) in lists.items())
+    return f"""\
+/* Generated. The members of {len(rows)} models, and how they are coupled. */
+#include <math.h>
+
+#include "network.h"
+
+{externs}
+{"".join(tables.arrays)}
+static const ph_network_member members[] = {{
+{"".join(rows)}}};
+
+extern const ph_network ph_the_network;
+const ph_network ph_the_network = {{
+    .nmember = {len(rows)},
+    .members = members,
+    .master = {m},
+    .solver = ph_solver_{master.solver},
+    .rules = {{.held = {int(rules["held"])}, .iterations = {rules["iterations"]}}},
+    .nroom = {len(rooms)},
+    .rooms = rooms,
+    .signals = {len(whole.joined.face.names)},
+    .room = {tables.room},
+    .step = {number(step)},
+{given}    .njunction = {len(first) - 1},
+}};
+"""
+
+
+def _rooms(name: str, rows: Sequence[str]) -> str:
+    return f"static const ph_room {name}[] = {{{', '.join(rows) or '{0, 0}'}}};\n"
+
+
+def junction_pairs(whole: Coupled) -> tuple[list[int], list[int]]:
+    """Where the pairs of each junction begin, and their places among those of all members."""
+    joined = whole.joined
+    first, at = dict[str, int](), 0
+    for m in joined.members:
+        first[m.name] = at
+        at += m.model.step.nq  # type: ignore[attr-defined]  # members of engines
+    places = {m.name: m.places for m in joined.members}  # type: ignore[attr-defined]
+    starts, pairs = [0], list[int]()
+    for j in joined.network.junctions:
+        for e in j.ends:
+            own = places[e.member][e.port]
+            pairs += range(first[e.member] + own.start, first[e.member] + own.stop)
+        starts.append(len(pairs))
+    return starts, pairs

@@ -1,0 +1,268 @@
+"""A coupled network as a unit: its members, stepped apart and joined by the master inside.
+
+Its variables are those of the members, `member.name`, with the sums of their ledgers, the junction unknowns, and the energies
+made at the junctions.  What junctions feed is told and cannot be set; ports that they leave free are the ports of the unit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import casadi as ca
+
+from phfmu.declare.parameter_limits import limits
+from phfmu.discretise.model import Model
+from phfmu.engine.native.library import driver_sources
+from phfmu.fmu.export.description import Unit
+from phfmu.fmu.export.outward import require_ports, turned
+from phfmu.fmu.export.schedule import fed_inside
+from phfmu.fmu.export.variables import FMUError, FMUVariable, listed
+from phfmu.network.as_unit.text import network_files
+from phfmu.network.couplings.compiled.master import Master
+from phfmu.network.couplings.coupled import Coupled
+from phfmu.network.network import Network
+from phfmu.schemes.scheme import Scheme
+from phfmu.signals import (
+    JUMPED,
+    LEDGER,
+    MEAN,
+    STEP_LEDGER,
+    Quantity,
+    check_names,
+    of_member,
+    port_energy,
+    quantities,
+    total,
+)
+
+#: of the master, what a unit of coupled members has not: threads, other couplings, units as members
+OTHER_MASTERS = (
+    "crew.c", "anderson.c", "anderson.h", "in_turn.c", "in_turn.h", "instant.c", "instant.h", "unit.c", "unit.h", "unit_call.c",
+    "unit_fmi2.c", "unit_fmi3.c",
+)  # fmt: skip
+#: blocks of a model -> what of a plan is as long; others are as long as there are components
+_LENGTHS = {
+    "x": "nx", "a": "na", "a_end": "na", "y_step": "nq", "y_end": "nq", "energy": "nq", "row_pairs": "nq", "parameter": "np",
+    "tunable": "np", "input": "nu", "observables": "nobs",
+}  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class NetworkUnit(Unit):
+    """`whole`: the members, native ones, and their coupling; `models`: of the members, in their order.
+
+    `model` is what is said of the whole where a unit of one model says it of that.  FMUError for what no unit can be.
+    """
+
+    whole: Coupled = None  # type: ignore[assignment]
+    models: tuple[Model, ...] = ()
+
+    derives = False
+    about = "ph_network", "ph_the_network", "ph_map_network"
+    header = "network.h"
+
+    def __post_init__(self) -> None:
+        require_ports(self.declaration, self.outward)
+
+    @cached_property
+    def master(self) -> Master:
+        """The compiled master, whose tables the unit has."""
+        found = self.whole.compiled
+        if found is None or found.solver != "newton" or self.whole.signals_held:
+            raise FMUError(
+                f"{self.name}: its members are not all stepped by the compiled master under --coupling newton, or exchange "
+                "signals that are held over a step; export it composed, without --as-unit"
+            )
+        return found
+
+    @property
+    def named(self) -> list[tuple[str, Model]]:
+        """Names and models of the members."""
+        return [(m.name, model) for m, model in zip(self.whole.joined.members, self.models, strict=True)]
+
+    def texts(self) -> dict[str, str]:
+        return network_files(self.whole, self.master, self.models, self.step)
+
+    def drivers(self) -> dict[str, Path]:
+        found = driver_sources("network/couplings")
+        return {name: path for name, path in found.items() if name not in OTHER_MASTERS}
+
+    @property
+    def checks(self) -> list[tuple[str, float]]:
+        return [
+            (of_member(name, n), s)
+            for name, m in self.named
+            for n, s in zip(check_names(m), m.check_scale, strict=True)
+        ]
+
+    @property
+    def equations(self) -> list[tuple[str, Sequence[str], Sequence[str]]]:
+        junctions = [f"the sum at {n}" for n in self.whole.joined.face.names]
+        return [*((name, m.row_names, m.instant_names) for name, m in self.named), ("junctions", junctions, ())]
+
+    @cached_property
+    def variables(self) -> tuple[FMUVariable, ...]:
+        """The table; the place of a variable is its value reference."""
+        found, limit = [], dict[str, Any]()
+        for name, m in self.named:
+            limit |= {of_member(name, n): v for n, v in limits(m.declaration).items()}
+        for q in self._quantities():
+            known = limit.get(q.name) if q.block in ("parameter", "tunable") else None
+            found.append((q, known))
+        table = listed(self.name, found, self.ledger_outputs, self.tunable, set())
+        return turned(table, [p for p in self.declaration.ports if p.name in self.outward])
+
+    @cached_property
+    def jumps(self) -> bool:
+        free = [
+            (m, s)
+            for name, m in self.named
+            for v in m.declaration.parameters
+            for s, n in zip(ca.vertsplit(v.sx), v.names(), strict=True)
+            if v.signal or of_member(name, n) in self.tunable
+        ]
+        return any(bool(ca.depends_on(m.declaration.hamiltonian, s)) for m, s in free)
+
+    def direct(self, v: FMUVariable) -> bool:
+        """Outputs at the present time of a member may change as soon as its own inputs do."""
+        return v.block == "PH_Y_END" or (v.depends_on_inputs and v.block != "FMU_JOINED")
+
+    # -- what the members tell ----------------------------------------------------------------------------------------
+
+    def _quantities(self) -> Iterator[Quantity]:
+        first = dict.fromkeys((*_LENGTHS, ""), 0)
+        yield Quantity("time", "independent", "x", self.model.step.nx, unit="s", description="time")
+        for name, m in self.named:
+            yield from self._of_member(name, m, first)
+            for block, what in _LENGTHS.items():
+                first[block] += m.instant.nobs if what == "nobs" else getattr(m.step, what)
+            first[""] += m.step.ncomp
+        yield from self._totals()
+        joined = self.whole.joined
+        inputs = {of_member(m.name, n) for m in joined.members for n in m.input_names}
+        for i, name in enumerate(joined.face.names):
+            if name not in inputs:
+                text = "at its junction, mean of the last step"
+                yield Quantity(name, "local", "joined", i, 1, None, joined.units[name], description=text)
+        yield from self._junctions(self.master.found.columns + first["input"])
+
+    def _of_member(self, name: str, model: Model, first: dict[str, int]) -> Iterator[Quantity]:
+        """Those of a member, `first`: where its entries of each block begin; what junctions and signals feed cannot be set."""
+        network = self.whole.joined.network
+        ends = {e.port for j in network.junctions for e in j.ends if e.member == name}
+        ends |= {w.input.partition("[")[0] for w in network.wires if w.target == name}
+        fed = [p for p in model.declaration.ports if p.name in ends]
+        inputs = {n for p in fed for n in p.input_names()}
+        inner = {n for p in fed for e in ("", MEAN) for n in p.output_names(e)} | {port_energy(p.name) for p in fed}
+        for q in quantities(model):
+            if q.causality == "independent":
+                continue
+            at = q.first + first[q.block if q.block in _LENGTHS else ""]
+            found = replace(q, name=of_member(name, q.name), first=at)
+            if q.name in inputs:
+                text = q.description.replace("held over a step", "mean of the last step, given by the junction")
+                place = self.master.found.columns + at
+                yield replace(found, causality="local", block="joined", first=place, start=None, description=text)
+            elif q.name in inner or (q.causality == "output" and q.name.startswith("energy.")):
+                yield replace(found, causality="local")
+            else:
+                yield found
+
+    def _totals(self) -> Iterator[Quantity]:
+        n = self.model.step.ncomp
+        for name, block, text in LEDGER:
+            yield Quantity(total(name), "output", block, 0, n, None, "J", description=text)
+        for name, block, text in STEP_LEDGER:
+            yield Quantity(total(name), "local", block, 0, n, None, "J", description=text)
+        if self.jumps:
+            name, block, text = JUMPED
+            yield Quantity(total(name), "output", block, 0, n, None, "J", description=text)
+
+    def _junctions(self, first: int) -> Iterator[Quantity]:
+        """Energies made there."""
+        own = [j.name for j in self.whole.joined.network.junctions]
+        n, what = len(own), "energy made at the junction, that its ports give to the members together"
+        for i, name in enumerate(own):
+            yield Quantity(
+                f"{name}.energy_step",
+                "local",
+                "joined",
+                first + i,
+                1,
+                None,
+                "J",
+                description=f"{what}, in the last step",
+            )
+            yield Quantity(
+                f"{name}.energy", "local", "joined", first + n + i, 1, None, "J", description=f"{what}, since the start"
+            )
+        text = "sizes of the energies made at all junctions in all steps since the start, added"
+        if n:
+            yield Quantity("energy.junctions", "output", "joined", first + 2 * n, 1, None, "J", description=text)
+
+
+def network_unit(network: Network, whole: Coupled, models: Sequence[Model], **options: Any) -> NetworkUnit:
+    """The unit of a network whose members are coupled as in `whole`; `options`: of `Unit`."""
+    joined = {e for j in network.junctions for e in j.ends}
+    ports = [
+        replace(p, name=of_member(name, p.name), start=p.start)
+        for name, d in network.declared.items()
+        for p in d.ports
+        if p.external and not any(e.member == name and e.port == p.name for e in joined)
+    ]
+    declaration = SimpleNamespace(name=network.name, description=network.description, ports=ports, modes=())
+    plan = SimpleNamespace(
+        nx=sum(m.step.nx for m in models), na=sum(m.step.na for m in models), nu=sum(m.step.nu for m in models),
+        ncomp=sum(m.step.ncomp for m in models), k=1,
+    )  # fmt: skip
+    order = max(m.scheme.order for m in models)
+    scheme = SimpleNamespace(name="newton coupling of members", order=order)
+    model: Any = SimpleNamespace(
+        declaration=declaration, step=plan, t0=models[0].t0, scheme=scheme, events=None, modes=None
+    )
+    return NetworkUnit(model=model, whole=whole, models=tuple(models), **options)
+
+
+def coupled_members(network: Network, schemes: Mapping[str, Scheme]) -> tuple[Coupled, list[Model]]:
+    """The members of a network, native ones of their schemes, under the Newton coupling, and their models.  FMUError."""
+    from phfmu.discretise.model import build_model
+    from phfmu.engine.native.native import NativeInstance
+    from phfmu.network.couplings.apart import Apart
+    from phfmu.network.couplings.named import named_coupling
+    from phfmu.network.members.engine_member import EngineMember
+
+    if network.units:
+        raise FMUError(
+            f"{network.name}: {', '.join(network.units)} are units of other tools, which a unit of coupled members does not "
+            "hold; --ssp writes a package of all members"
+        )
+    if some := [n for n, d in network.declared.items() if d.state_events or d.switches]:
+        raise FMUError(
+            f"{network.name}: {', '.join(some[:4])} have state events, which the coupling inside a unit does not land on; "
+            "export it composed, without --as-unit"
+        )
+    whole = Apart(network)
+    coupling = named_coupling("newton", network)
+    separate = network.separate(whole.holding(lambda name: schemes[name].node_values))
+    models = [build_model(separate[name], schemes[name]) for name in network.declared]
+    members: list[Any] = [
+        EngineMember(name, model, NativeInstance(model)) for name, model in zip(network.declared, models, strict=True)
+    ]
+    found = Coupled(network, members, coupling.make)
+    found.check_start()
+    return found, models
+
+
+def with_fed_inside(network: Network, names: Sequence[str]) -> Network:
+    """The network with free ports of members fed by parameters that are called like their inputs, those among `names`."""
+    own: dict[str, list[str]] = {}
+    for name in names:
+        member, _, rest = name.partition(".")
+        own.setdefault(member, []).append(rest)
+    members = {n: fed_inside(d, own[n]) if n in own else d for n, d in network.declared.items()}
+    return replace(network, members=members)

@@ -1,0 +1,54 @@
+/* Coupled members as one step map: what is constant of them, and the map. */
+#ifndef PH_NETWORK_H
+#define PH_NETWORK_H
+
+#include "impulses.h"
+#include "master.h"
+#include "native.h"
+#include "step_map.h"
+
+/* Memory that a structure points to: `at` bytes from its begin, a pointer to what is `first` in the memory of
+ * all. */
+typedef struct ph_room {
+    size_t at;
+    size_t first;
+} ph_room;
+
+/* A member: its part of the exchange without memory, and what belongs to its model. */
+typedef struct ph_network_member {
+    const ph_model *model;
+    const ph_ports *ports; /* NULL: it takes no impulses */
+    ph_share share;
+    ph_native native;
+    int held;  /* whether its inputs are held over a step, not given at nodes */
+    int nroom; /* of the share, those of the native behind them */
+    int nnative;
+    const ph_room *rooms; /* nroom + nnative */
+} ph_network_member;
+
+typedef struct ph_network {
+    int nmember;
+    const ph_network_member *members; /* nmember */
+    ph_master master;                 /* without memory */
+    const ph_solver *(*solver)(void);
+    ph_rules rules;
+    int nroom;
+    const ph_room *rooms; /* nroom, of the master */
+    int signals;          /* the first of the common variables that are signals */
+    size_t room;          /* bytes of the memory of all */
+    double step;          /* longest internal step, s */
+    const double *start;  /* master.ncolumn: what the first trial starts from */
+    const double *free;   /* inputs of all members besides those of junctions, at the start */
+    int njunction;
+    const int *junction; /* njunction+1: where the pairs of each begin */
+    const int *pair;     /* places among the pairs of all members */
+} ph_network;
+
+/* `about` is a ph_network. Blocks have those of the members one after the other; parameters and inputs too,
+ * inputs are held over a step. `joined` has, for the last communication step, means of the common variables
+ * (master.ncolumn), of the inputs of all members (nu), the energies made at the junctions (njunction), these
+ * since the start (njunction), and the sum of the sizes of what was made at each in each step, since the
+ * start. The part of a report is a member's number, or nmember for the junctions. */
+PH_API const ph_step_map *ph_map_network(void);
+
+#endif

@@ -1,0 +1,189 @@
+/* The blocks of coupled members side by side, what is kept and saved of them: their states, and what the
+ * coupling goes on from. */
+#include <math.h>
+
+#include "network_whole.h"
+#include "system.h"
+
+int ph_whole_njoined(const ph_network *n, int nu) {
+    return n->master.ncolumn + nu + 2 * n->njunction + 1;
+}
+
+void ph_whole_sizes(const void *about, ph_sizes *s) {
+    const ph_network *n = about;
+    static const double one = 1.0;
+    *s = (ph_sizes){.k = 1, .weights = &one};
+    for (int i = 0; i < n->nmember; i++) {
+        ph_sizes own;
+        ph_sizes_of(n->members[i].model, &own);
+        s->nx += own.nx;
+        s->na += own.na;
+        s->nu += own.nu;
+        s->nq += own.nq;
+        s->np += own.np;
+        s->nobs += own.nobs;
+        s->ncomp += own.ncomp;
+    }
+}
+
+void ph_whole_gather(ph_whole *w) {
+    for (int i = 0; i < w->about->nmember; i++) {
+        const ph_whole_member *m = &w->members[i];
+        const double *table = ph_signals(m->in);
+        const int nc = w->about->members[i].model->step->ncomp;
+        for (int b = 0; b < PH_NBLOCK; b++)
+            if (b != PH_TIME || i == 0)
+                ph_copy(w->table + m->first[b], table + m->offset[b], m->offset[b + 1] - m->offset[b]);
+        for (int r = 0; r < PH_NROW; r++)
+            ph_copy(w->row[r] + (r == PH_ROW_PAIRS ? m->pairs : m->comp), ph_ledger(m->in, r),
+                    r == PH_ROW_PAIRS ? m->nq : nc);
+    }
+}
+
+void ph_whole_gather_parameters(ph_whole *w) {
+    for (int i = 0; i < w->about->nmember; i++)
+        ph_copy(w->p + w->members[i].p, ph_parameters(w->members[i].in),
+                w->about->members[i].model->step->np);
+}
+
+int ph_whole_kept_size(const void *about) {
+    const ph_network *n = about;
+    ph_sizes s;
+    int size;
+    ph_whole_sizes(n, &s);
+    size = n->master.ncolumn + s.nu + n->njunction;
+    for (int i = 0; i < n->nmember; i++)
+        size += ph_kept_size(n->members[i].model);
+    return size;
+}
+
+void ph_whole_keep(const void *of, double *kept) {
+    const ph_whole *w = of;
+    const int means = w->master.ncolumn + w->sizes.nu + w->about->njunction;
+    ph_copy(kept, w->joined, means);
+    kept += means;
+    for (int i = 0; i < w->about->nmember; i++) {
+        ph_keep(w->members[i].in, kept);
+        kept += ph_kept_size(w->about->members[i].model);
+    }
+}
+
+void ph_whole_join(void *of, const double *kept, double part) {
+    ph_whole *w = of;
+    const int means = w->master.ncolumn + w->sizes.nu;
+    for (int i = 0; i < means; i++)
+        w->joined[i] = part * kept[i] + (1.0 - part) * w->joined[i];
+    kept += means;
+    for (int j = 0; j < w->about->njunction; j++)
+        w->joined[means + j] += kept[j];
+    kept += w->about->njunction;
+    for (int i = 0; i < w->about->nmember; i++) {
+        ph_join(w->members[i].in, kept, part);
+        kept += ph_kept_size(w->about->members[i].model);
+    }
+    ph_whole_gather(w);
+}
+
+/* Doubles of a saved state that are not in those of the members. */
+static size_t remembered(const ph_whole *w) {
+    const ph_master *m = &w->master;
+    const size_t z = (size_t)(m->nxi + 2 * m->nbare);
+    return (size_t)w->sizes.nu + (size_t)m->ncolumn + (size_t)ph_whole_njoined(w->about, w->sizes.nu) +
+           (PH_COUPLED_KNOWN + 1) * z;
+}
+
+size_t ph_whole_values_size(const ph_whole *w, int i) {
+    return w->members[i].kicks ? 4 * sizeof(double) * (size_t)w->about->members[i].ports->n : 0;
+}
+
+size_t ph_whole_state_size(const void *of) {
+    const ph_whole *w = of;
+    size_t size = ph_padded(sizeof(ph_whole_moment)) + sizeof(double) * remembered(w);
+    for (int i = 0; i < w->about->nmember; i++)
+        size += ph_padded(ph_state_size(w->members[i].in)) + ph_padded(ph_whole_values_size(w, i));
+    return ph_padded(size);
+}
+
+void ph_whole_save(const void *of, void *out) {
+    const ph_whole *w = of;
+    const ph_master *m = &w->master;
+    const int z = m->nxi + 2 * m->nbare;
+    char *to = out;
+    double *values;
+    memset(out, 0, ph_whole_state_size(w));
+    w->now->known = m->known;
+    memcpy(to, w->now, sizeof(ph_whole_moment));
+    to += ph_padded(sizeof(ph_whole_moment));
+    for (int i = 0; i < w->about->nmember; i++) {
+        const ph_whole_member *own = &w->members[i];
+        ph_save(own->in, to);
+        to += ph_padded(ph_state_size(own->in));
+        if (own->kicks)
+            memcpy(to, own->native.values, ph_whole_values_size(w, i));
+        to += ph_padded(ph_whole_values_size(w, i));
+    }
+    values = (double *)(void *)to;
+    ph_copy(values, w->free, w->sizes.nu);
+    values += w->sizes.nu;
+    ph_copy(values, w->mean, m->ncolumn);
+    values += m->ncolumn;
+    ph_copy(values, w->joined, ph_whole_njoined(w->about, w->sizes.nu));
+    values += ph_whole_njoined(w->about, w->sizes.nu);
+    ph_copy(values, m->found, z);
+    ph_copy(values + z, m->missed, PH_COUPLED_KNOWN * z);
+}
+
+int ph_whole_load(void *of, const void *from) {
+    ph_whole *w = of;
+    ph_master *m = &w->master;
+    const int z = m->nxi + 2 * m->nbare;
+    const char *place = from;
+    const double *values;
+    int status = PH_OK;
+    memcpy(w->now, place, sizeof(ph_whole_moment));
+    m->known = w->now->known;
+    place += ph_padded(sizeof(ph_whole_moment));
+    for (int i = 0; i < w->about->nmember && status == PH_OK; i++) {
+        const ph_whole_member *own = &w->members[i];
+        status = ph_load(own->in, place);
+        place += ph_padded(ph_state_size(own->in));
+        if (own->kicks)
+            memcpy(own->native.values, place, ph_whole_values_size(w, i));
+        place += ph_padded(ph_whole_values_size(w, i));
+    }
+    values = (const double *)(const void *)place;
+    ph_copy(w->free, values, w->sizes.nu);
+    values += w->sizes.nu;
+    ph_copy(w->mean, values, m->ncolumn);
+    values += m->ncolumn;
+    ph_copy(w->joined, values, ph_whole_njoined(w->about, w->sizes.nu));
+    values += ph_whole_njoined(w->about, w->sizes.nu);
+    ph_copy(m->found, values, z);
+    ph_copy(m->missed, values + z, PH_COUPLED_KNOWN * z);
+    w->begun = 0;
+    ph_whole_gather_parameters(w);
+    ph_whole_gather(w);
+    return status;
+}
+
+const char *ph_whole_state_fault(const void *of, const void *from) {
+    const ph_whole *w = of;
+    const char *place = from;
+    const double *values;
+    ph_whole_moment now;
+    memcpy(&now, place, sizeof(ph_whole_moment));
+    if (!isfinite(now.h) || now.known < 0 || now.known > PH_COUPLED_KNOWN)
+        return "a length or a count of the coupling is out of range";
+    place += ph_padded(sizeof(ph_whole_moment));
+    for (int i = 0; i < w->about->nmember; i++) {
+        const char *wrong = ph_state_fault(w->members[i].in, place);
+        if (wrong)
+            return wrong;
+        place += ph_padded(ph_state_size(w->members[i].in)) + ph_padded(ph_whole_values_size(w, i));
+    }
+    values = (const double *)(const void *)place;
+    for (size_t i = 0; i < remembered(w); i++)
+        if (!isfinite(values[i]))
+            return "a value of the coupling is not finite";
+    return NULL;
+}

@@ -1,0 +1,78 @@
+/* Coupled members as one: their memory, what is saved of it; the private part of network_map.c. */
+#ifndef PH_NETWORK_WHOLE_H
+#define PH_NETWORK_WHOLE_H
+
+#include <string.h>
+
+#include "network.h"
+
+/* A member, its memory, owned, and where its entries begin among those of all. */
+typedef struct ph_whole_member {
+    ph_instance *in;
+    ph_impulses *kicks; /* or NULL */
+    void *chain;        /* an instance for derivatives, or NULL */
+    void *states;       /* where it was: two of the instance, one of the impulses */
+    ph_native native;
+    int offset[PH_NBLOCK + 1]; /* in its table */
+    int first[PH_NBLOCK];      /* in the table of all */
+    int u, p, pairs, comp, nq; /* first of its inputs, parameters, pairs, components; its pairs */
+} ph_whole_member;
+
+/* What belongs to a saved state besides those of the members; `h` is 0 where the next step is not the
+ * continuation of the last. */
+typedef struct ph_whole_moment {
+    double h;
+    int known;
+} ph_whole_moment;
+
+typedef struct ph_whole {
+    const ph_network *about;
+    ph_master master;
+    ph_share *shares;
+    ph_whole_member *members;
+    ph_sizes sizes;
+    int offset[PH_NBLOCK + 1];
+    double *table;
+    double *row[PH_NROW];
+    double *p;
+    double *free;
+    double *mean;   /* ncolumn: of the last step, which is where the next one starts from */
+    double *joined; /* see network.h */
+    double *kept;   /* of the internal steps before */
+    char *before;   /* a saved state */
+    ph_whole_moment *now;
+    void *room; /* memory of the master, owned, as those below */
+    void *lu;
+    double *work; /* what the pointers below and above are in */
+    int begun;    /* the junctions are those of the start under the present values */
+    long long *count;
+    ph_report report;
+    int part;
+} ph_whole;
+
+static inline void ph_copy(double *to, const double *from, int n) {
+    if (n > 0)
+        memcpy(to, from, sizeof(double) * (size_t)n);
+}
+
+/* network_memory.c: memory, laid out, 0 if there is none. */
+int ph_whole_make(ph_whole *w);
+void ph_whole_release(void *of);
+
+/* network_state.c: sizes of all members together, length of `joined`. */
+void ph_whole_sizes(const void *about, ph_sizes *s);
+int ph_whole_njoined(const ph_network *n, int nu);
+/* Blocks, and parameters, of the members side by side. */
+void ph_whole_gather(ph_whole *w);
+void ph_whole_gather_parameters(ph_whole *w);
+/* As the functions of ph_step_map; bytes of the impulses of a member. */
+size_t ph_whole_values_size(const ph_whole *w, int i);
+int ph_whole_kept_size(const void *about);
+void ph_whole_keep(const void *of, double *kept);
+void ph_whole_join(void *of, const double *kept, double part);
+size_t ph_whole_state_size(const void *of);
+void ph_whole_save(const void *of, void *out);
+int ph_whole_load(void *of, const void *from);
+const char *ph_whole_state_fault(const void *of, const void *from);
+
+#endif
