@@ -22,6 +22,7 @@ from phfmu.words import counted
 
 if TYPE_CHECKING:
     from phfmu.audit import Ledger
+    from phfmu.audit.booking import Booking
     from phfmu.audit.unbooked import Unbooked
     from phfmu.discretise.start import Projection
 
@@ -32,7 +33,7 @@ class Book:
     """Books the steps of a stepper in a ledger and watches the hidden constraints; `tell` gets time and text of state events."""
 
     def __init__(self, stepper: Stepper, ledger: Ledger | Unbooked, tell: Callable[[float, str], None] | None = None):
-        self.stepper, self.ledger, self.booking = stepper, ledger, stepper.booking
+        self.stepper, self.ledger = stepper, ledger
         self._tell = tell
         self.steps, self.iterations = 0, 0.0
         self._watch = [(n, i) for i, n in enumerate(stepper.names) if n.startswith(CONSTRAINT)]
@@ -45,6 +46,11 @@ class Book:
         self.notes: list[str] = []
         #: steps that a coupling kept without convergence, and that it halved
         self.given_up: dict[str, int] = dict.fromkeys((KEPT, HALVED), 0)
+
+    @property
+    def booking(self) -> Booking:
+        """Of the stepper, which damping steps may give more parts."""
+        return self.stepper.booking
 
     def start(self) -> None:
         self._H = self.stepper.energies()

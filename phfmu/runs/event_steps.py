@@ -17,7 +17,7 @@ from phfmu.outcome.limits import LIMITS
 from phfmu.outcome.status import StepFailure
 from phfmu.outcome.steps import StepEvent
 from phfmu.runs.book import Book
-from phfmu.runs.march import Pace, goals, monolithic, pieces, step_rows
+from phfmu.runs.march import Pace, goals, pieces, step_rows
 from phfmu.runs.options import Options
 from phfmu.runs.restart import Restart
 from phfmu.runs.ringing import Ringing
@@ -81,7 +81,7 @@ class EventSteps:
         self.stepper, self.step, self.restart = stepper, options.step, options.restart
         self._ringing = Ringing(stepper, options.step, self.restart)
         self._booked, self._pace = Booked(stepper, book, self._ringing), Pace()
-        self._damped = Restart(monolithic(stepper, "--restart")) if self.restart else None
+        self._damped = Restart(stepper) if self.restart else None
 
     def takes_inputs(self, name: str) -> bool:
         """Stretches end where an input changes."""

@@ -18,8 +18,9 @@ from phfmu.outcome.status import EndRequested, StepFailure
 from phfmu.runs.book import Book
 from phfmu.runs.event_steps import AdaptiveEventSteps, EventSteps
 from phfmu.runs.following import following
-from phfmu.runs.march import AdaptiveSteps, FixedSteps, monolithic, step_rows
+from phfmu.runs.march import AdaptiveSteps, FixedSteps, step_rows
 from phfmu.runs.options import Options
+from phfmu.runs.restart import monolithic
 from phfmu.runs.result import Result
 from phfmu.runs.rows import Rows, RunColumns
 from phfmu.runs.stretches import stretches

@@ -22,7 +22,7 @@ from phfmu.outcome.status import StepFailure
 from phfmu.outcome.steps import Steps
 from phfmu.runs.book import Book
 from phfmu.runs.options import Options
-from phfmu.runs.restart import Restart, not_damped, require_fit
+from phfmu.runs.restart import Restart, monolithic, not_damped, require_fit
 from phfmu.runs.ringing import Ringing
 from phfmu.runs.rows import Row
 from phfmu.runs.stretches import Stretch
@@ -82,14 +82,15 @@ class Pace:
 
 
 class FixedSteps:
-    """Equal steps; the first `restart` ones after an event with damping."""
+    """Equal steps; the first `restart` ones after an event with damping, also after one inside the step of a member."""
 
     def __init__(self, stepper: Stepper, book: Book, options: Options):
         self.stepper, self.book, self.step, self.restart = stepper, book, options.step, options.restart
-        self._damped = Restart(monolithic(stepper, "--restart")) if self.restart else None
+        self._damped = Restart(stepper) if self.restart else None
+        self._alone = self._damped is not None and self._damped.events_inside
         self._cut: list[float] = []
         self._pace = Pace()
-        self._longest = 0.0
+        self._longest, self._happened = 0.0, False
         self._ringing = Ringing(stepper, options.step, self.restart)
 
     def takes_inputs(self, name: str) -> bool:
@@ -107,12 +108,12 @@ class FixedSteps:
             first = 0
             while first < n:
                 damped = left > 0 and self._damped is not None
-                count = 1 if damped else self._ringing.block(min(self._pace.steps, n - first))
+                count = 1 if damped or self._alone else self._ringing.block(min(self._pace.steps, n - first))
                 inputs = [
                     (k - first, e) for k, e in stretch.inputs[_from(stretch, first) : _from(stretch, first + count)]
                 ]
                 yield from self._booked(t, h, first, count, damped, inputs)
-                first, left = first + count, max(left - 1, 0)
+                first, left = first + count, self.restart if self._happened else max(left - 1, 0)
                 self._pace.handed_over(count)
 
     def facts(self) -> dict[str, Any]:
@@ -148,7 +149,7 @@ class FixedSteps:
             if "steps" in stop.recorded:
                 yield self._added(t, h, first, stop.recorded["steps"])
             raise
-        self._longest = max(self._longest, h)
+        self._longest, self._happened = max(self._longest, h), bool(steps.events)
         self._ringing.add(steps, damped)
         self.book.inputs(inputs)
         yield self._added(t, h, first, steps)
@@ -273,17 +274,3 @@ def step_rows(start: Array, end: Array, steps: Steps) -> Row:
     inside = np.tile(part < 1.0, (len(end), 1))
     kept = ~(inside & np.isnan(values).all(axis=2))
     return times[kept], values[kept], inside[kept]
-
-
-def monolithic(stepper: Stepper, option: str) -> Monolithic:
-    """The stepper, if it is one composed model; ValueError with the remedies for what is none."""
-    if isinstance(stepper, Monolithic):
-        return stepper
-    from phfmu.network.couplings.coupled import Coupled
-
-    damps = option == "--restart" and isinstance(stepper, Coupled)
-    other = "; members stepped apart damp all of their steps with --scheme radau" if damps else ""
-    raise ValueError(
-        f"{option} needs one composed model stepped by the python or native engine, here it is {stepper.what}; "
-        f"leave out {option}, or {stepper.instead}{other}"
-    )

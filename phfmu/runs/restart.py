@@ -10,30 +10,33 @@ a component would gain instead (other H) is taken by the exact scheme.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from phfmu.declare.error import DeclarationError
 from phfmu.engine.record import Grid
 from phfmu.network.couplings.monolithic import Monolithic
-from phfmu.network.couplings.stepper import Landing
+from phfmu.network.couplings.stepper import Landing, Stepper
 from phfmu.outcome.status import StepFailure
 from phfmu.outcome.steps import Steps
 from phfmu.schemes.radau import Radau
+
+if TYPE_CHECKING:
+    from phfmu.network.couplings.coupled import Coupled
 
 #: a gain below this part of the step's energies is rounding
 ROUNDING = 1e-12
 
 
 class Restart:
-    """Takes steps of a `Monolithic` with Radau IIA nodes (k = 2, order 3), or of `companion`, one that damps.
+    """Takes steps of one composed model, or of members stepped apart, with Radau IIA nodes (k = 2, order 3), or of `companion`,
+    which damps.
 
-    DeclarationError if they do not fit.
+    DeclarationError, or ValueError with the remedies, if they do not fit.
     """
 
-    def __init__(self, stepper: Monolithic, k: int = 2, companion: Any = None):
-        require_fit(stepper)
-        self.stepper = stepper
-        self.instance = stepper.companion(Radau(k)) if companion is None else companion
+    def __init__(self, stepper: Stepper, k: int = 2, companion: Any = None):
+        self.stepper: Any = fitting(stepper)
+        self.instance = self.stepper.companion(Radau(k)) if companion is None else companion
         #: steps that were to be damped, and those of them that the exact scheme took
         self.asked, self.refused = 0, 0
 
@@ -69,6 +72,11 @@ class Restart:
             raise failure
 
     @property
+    def events_inside(self) -> bool:
+        """Whether state events happen inside the steps of members, which end at none of them."""
+        return not isinstance(self.stepper, Monolithic) and self.stepper.events_inside
+
+    @property
     def taken(self) -> int:
         """Steps that were damped."""
         return self.asked - self.refused
@@ -86,6 +94,38 @@ def not_damped(refused: int, asked: int) -> list[str]:
         f"{refused} of {asked} damping steps after events were taken by the energy-exact scheme: in a Radau step a component "
         "would have gained energy, which it can where H is not quadratic in the states"
     ]
+
+
+def fitting(stepper: Stepper) -> Monolithic | Coupled:
+    """The stepper, if it takes damping steps; DeclarationError if they would let constraints drift, ValueError for others."""
+    from phfmu.network.couplings.coupled import Coupled
+
+    if isinstance(stepper, Coupled):
+        require_apart(stepper)
+        return stepper
+    whole = monolithic(stepper, "--restart")
+    require_fit(whole)
+    return whole
+
+
+def monolithic(stepper: Stepper, option: str) -> Monolithic:
+    """The stepper, if it is one composed model; ValueError with the remedies for what is none."""
+    if isinstance(stepper, Monolithic):
+        return stepper
+    raise ValueError(
+        f"{option} needs one composed model stepped by the python or native engine, here it is {stepper.what}; "
+        f"leave out {option}, or {stepper.instead}"
+    )
+
+
+def require_apart(stepper: Coupled) -> None:
+    """ValueError with the remedies for members that take no damping steps."""
+    if not (found := stepper.undamped()):
+        return
+    lines = "; ".join(f"{f'member {name!r}' if name else 'members stepped apart'} {why}" for name, why in found.items())
+    raise ValueError(
+        f"--restart: {lines}; leave out --restart and take smaller steps after events, or {stepper.instead}"
+    )
 
 
 def require_fit(stepper: Monolithic) -> None:

@@ -19,6 +19,7 @@ from phfmu.discretise.within import polynomial_of
 from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.network.members.engine_member import EngineMember
 from phfmu.outcome.steps import Steps
+from phfmu.runs.restart import fitting
 from phfmu.signals import of_member
 from phfmu.words import counted
 
@@ -140,6 +141,15 @@ class Ringing:
         unit = self._stepper.units.get(self._names[i], "1")
         return "" if unit == "1" else unit
 
+    @property
+    def _damps(self) -> bool:
+        """Whether the stepper takes damping steps."""
+        try:
+            fitting(self._stepper)
+        except ValueError:
+            return False
+        return True
+
     def _remedy(self) -> str:
         whole = isinstance(self._stepper, Monolithic)
         drifts = whole and bool(self._stepper.model.declaration.constraints)  # pyright: ignore[reportAttributeAccessIssue]
@@ -148,7 +158,7 @@ class Ringing:
             ways += ["steps within a tolerance (--rtol)"]
         if not drifts:
             ways += ["damping in all steps (--scheme radau)"]
-        if whole and not drifts:
+        if self._damps:
             more = f"more damping steps after events (--restart {2 * self._damped})"
             ways += [more if self._damped else "damping steps after events (--restart 2)"]
         ways.reverse()

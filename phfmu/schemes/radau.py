@@ -30,6 +30,7 @@ class Radau(GaussScheme):
     name: str = "radau"
     gradient = "nodal"
     loses_energy = True
+    node_values = True
 
     @property
     def order(self) -> int:

@@ -160,7 +160,10 @@ def test_a_file_without_a_function_names_those_that_need_no_argument(refused: Cl
         ("--atol 1e-6", "--atol adaptive steps give --rtol"),
         ("--rtol 1e-6 --min-step 1 --max-step 0.1", "--min-step 1.0 s --max-step 0.1 s 0 <= min <= max"),
         ("--rtol 1e-4 --coupling newton", "--rtol needs one composed model leave out --coupling"),
-        ("--restart 1 --coupling newton", "--restart needs one composed model"),
+        (
+            "--restart 1 --coupling anderson",
+            "--restart members stepped apart take damping steps with --coupling newton",
+        ),
         ("--restart -1", "--restart -1: a number of steps from 0"),
         ("-o none/o.csv", "-o none/o.csv: there is no folder 'none'"),
         ("-o o.xlsx", "-o o.xlsx: the ending must be .csv or .parquet"),

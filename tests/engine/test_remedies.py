@@ -103,7 +103,7 @@ def test_joined_ideal_sources_are_named_with_what_helps() -> None:
         run(Coupled(net, members), Options(stop=0.1, step=0.01))
 
 
-@pytest.mark.parametrize("option", ["--restart", "--rtol", "--dense"])
+@pytest.mark.parametrize("option", ["--rtol", "--dense"])
 def test_what_needs_one_model_says_what_it_has(capsys, option: str) -> None:
     code, text = said(
         capsys,

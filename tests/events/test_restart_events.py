@@ -123,16 +123,14 @@ def test_landing_pauses_behind_the_events_of_one_time(engine):
     assert np.allclose(parts.instance.x, whole.instance.x, rtol=1e-9, atol=1e-12)
 
 
-def test_members_stepped_apart_damp_all_their_steps_instead():
-    """--restart says so, and --scheme radau does it: no ringing, with the order of what is held."""
+def test_members_stepped_apart_damp_all_their_steps_too():
+    """No ringing, with the order of what is held between them."""
     net = network()
 
     def apart(scheme):
         models = {n: build_model(d, scheme) for n, d in net.declared.items()}
         return Coupled(net, [EngineMember(n, m, NativeInstance(m)) for n, m in models.items()])
 
-    with pytest.raises(ValueError, match="leave out --restart, or .*--scheme radau"):
-        run(apart(Collocated(1)), Options(stop=STOP, step=STEP, restart=2))
     result = run(apart(Radau(2)), Options(stop=STOP, step=STEP, events=EVENTS))
     on = result.time > AFTER
     found, _ = exact(result.time[on])

@@ -39,8 +39,8 @@ def test_every_scheme_states_every_property() -> None:
     assert [(s.name, n) for s in SCHEMES for n in stated if not hasattr(s, n)] == []
 
 
-def test_schemes_of_gauss_nodes_take_values_at_nodes() -> None:
-    assert [s.name for s in SCHEMES if s.node_values] == ["collocated", "two-level"]
+def test_schemes_of_collocation_take_values_at_nodes() -> None:
+    assert [s.name for s in SCHEMES if s.node_values] == ["collocated", "radau", "two-level"]
 
 
 def test_no_scheme_is_probed() -> None:

@@ -10,17 +10,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from phfmu.engine.record import Grid
 from phfmu.engine.rest_changes import RestChange
 from phfmu.interrupt import Interrupted
 from phfmu.network.couplings.coupling import AllSteps, Coupling, Solution, Step, Unconverged
 from phfmu.network.couplings.growth import Growth
 from phfmu.network.couplings.landing.landings import landings
-from phfmu.network.couplings.node_newton import newton, xi_at_end
+from phfmu.network.couplings.newton import Newton
+from phfmu.network.couplings.node_newton import NodeNewton, newton, xi_at_end
 from phfmu.network.couplings.signals.agreed_signals import AgreedSignals
 from phfmu.network.couplings.signals.held_signals import HeldSignals, SignalExchange
 from phfmu.network.couplings.signals.signal_growth import SignalGrowth
 from phfmu.network.couplings.start_values import start_values
-from phfmu.network.couplings.unconverged import booked, plain
+from phfmu.network.couplings.unconverged import Accepting, Halving, booked, plain
 from phfmu.network.couplings.works import Works
 from phfmu.network.impulses.jumps_apart import JumpsApart
 from phfmu.network.interface.end_sums import EndSums
@@ -28,10 +30,12 @@ from phfmu.network.interface.followed import Followed
 from phfmu.network.interface.instant import Instant
 from phfmu.network.interface.joined import Joined
 from phfmu.network.interface.whole_columns import WholeColumns
+from phfmu.network.members.engine_member import EngineMember
 from phfmu.network.members.member import Member
 from phfmu.network.network import Network
 from phfmu.outcome.status import EndRequested, StepFailure
 from phfmu.outcome.steps import Steps
+from phfmu.schemes.scheme import Scheme
 from phfmu.signals import SignalKind, of_member
 
 if TYPE_CHECKING:
@@ -64,6 +68,7 @@ class Coupled:
         signals: SignalExchange = "extrapolated",
     ):
         self._may_compile, self._threads, self.instead = compiled, threads, network.to_compose
+        self._signals_are: SignalExchange = signals
         self.joined = Joined(network, members)
         self.coupling = coupling(self.joined) if callable(coupling) else coupling
         closes = self.coupling.closes and not self.joined.put_off
@@ -346,9 +351,13 @@ class Coupled:
 
     def land(self, t0: float, h: float, n: int, first: int = 0, changed: bool = True) -> Iterator[Landing]:
         """As of `Monolithic`; for members of order 2k whose steps all end where a guard of one of them is zero."""
+        return self._landed(Grid(t0, h, n, first), changed)
+
+    def _landed(self, grid: Grid, changed: bool) -> Iterator[Landing]:
         assert self._lander is not None
-        for k in range(first, first + n):
-            for t, taken, happened in self._lander.over(t0 + k * h, t0 + (k + 1) * h, changed):
+        for k in range(grid.n):
+            paused = False
+            for t, taken, happened in self._lander.over(grid.start(k), grid.start(k + 1), changed, grid.pause):
                 self._at_start = None if taken or self._switching else self._at_start
                 if taken:
                     try:
@@ -366,7 +375,70 @@ class Coupled:
                 self.joined.apply(self.last.xi)
                 assert happened is not None
                 yield np.zeros(0), np.zeros(0), None, (happened, self.read())
+                paused = grid.pause
+            if paused:
+                return
             changed = False
+
+    # -- under another scheme ---------------------------------------------------------------------------------------
+
+    @property
+    def instance(self) -> Coupled:
+        """The one whose steps are the run's: itself."""
+        return self
+
+    def undamped(self) -> dict[str, str]:
+        """Member, "" for all -> why it takes no single steps under another scheme."""
+        inner = plain(self.coupling)
+        if not isinstance(inner, Newton | NodeNewton):
+            return {"": "take damping steps with --coupling newton only"}
+        found = dict[str, str]()
+        for m in self.joined.members:
+            if not isinstance(m, EngineMember):
+                found[m.name] = "is a unit, which has its scheme compiled in"
+            elif m.model.modes is not None or self._switching:
+                found[m.name] = "has ideal switches, or is joined with members that have"
+            elif m.model.declaration.constraints:
+                found[m.name] = "has holonomic constraints, which damping steps let drift"
+        return found
+
+    @property
+    def events_inside(self) -> bool:
+        """Whether a member has state events that happen inside its steps."""
+        return any(isinstance(m, EngineMember) and m.model.events and not m.together for m in self.joined.members)
+
+    def companion(self, scheme: Scheme) -> Coupled:
+        """The same members under another scheme, with as many values per junction variable as that takes."""
+        members: list[Member] = [m.companion(scheme) for m in self.joined.members if isinstance(m, EngineMember)]
+        around = type(self.coupling) if isinstance(self.coupling, Halving | Accepting) else None
+
+        def coupling(joined: Joined) -> Coupling:
+            return newton(joined) if around is None else around(newton(joined))
+
+        found = Coupled(self.joined.network, members, coupling, self._may_compile, self._threads, self._signals_are)
+        self._works.share(found._works)
+        self.booking = replace(self.booking, parts=self._works.keys)
+        return found
+
+    def follow(self, instance: Coupled, other: Coupled) -> None:
+        """`instance` goes on from `other`, both with the members of this one under schemes of their own."""
+        for mine, its in zip(instance.joined.members, other.joined.members, strict=True):
+            assert isinstance(mine, EngineMember) and isinstance(its, EngineMember)
+            mine.follow(its)
+        instance.joined.free[:] = other.joined.free
+        instance.joined.followed = other.joined.followed
+        instance._signals.follow(other._signals)
+        instance._sums.forget()
+        instance._at_start = None
+        instance.last = Solution(xi_at_end(other._exchange, other.last), other.last.y)
+
+    def taken(self, instance: Coupled, t0: float, h: float, n: int) -> Steps:
+        """n steps of this one or of a companion."""
+        return instance.advance(t0, h, n)
+
+    def landed(self, instance: Coupled, grid: Grid, changed: bool) -> Iterator[Landing]:
+        """`land` of this one or of a companion; a grid that pauses ends with the first event."""
+        return instance._landed(grid, changed)
 
     def _known(self, t: float, h: float) -> dict[str, Any]:
         """The record of the step just taken: the fields of `Steps`."""

@@ -30,19 +30,34 @@ class Works:
     """
 
     def __init__(self, joined: Joined, exchange: Exchange | None, repeats: bool):
-        found = _of_unknowns(joined, exchange) if repeats else []
-        parts = Counter(key.junction for key in set(found) if key)
-        kept = dict.fromkeys(key for key in found if key and parts[key.junction] > 1)
-        at = {junction: i for i, junction in enumerate(joined.face.sums)}
-        self.keys = tuple(sorted(kept, key=lambda key: at[key.junction]))
+        self._found = _of_unknowns(joined, exchange) if repeats else []
+        self._at = {junction: i for i, junction in enumerate(joined.face.sums)}
+        self._choose(self._found)
+
+    def share(self, other: Works) -> None:
+        """Both tell the same parts, those that they do not have as zero: they take steps of one run."""
+        every = self._found + other._found
+        self._choose(every)
+        other._choose(every)
+
+    def _choose(self, every: list[PartKey | None]) -> None:
+        """Keys of junctions that have more than one among `every`."""
+        parts = Counter(key.junction for key in set(every) if key)
+        kept = dict.fromkeys(key for key in every if key and parts[key.junction] > 1)
+        self.keys = tuple(sorted(kept, key=lambda key: self._at[key.junction]))
         place = {key: i for i, key in enumerate(self.keys)}
-        chosen = sorted((place[key], i) for i, key in enumerate(found) if key in place)
+        chosen = sorted((place[key], i) for i, key in enumerate(self._found) if key in place)
         self._order = np.array([i for _, i in chosen], int)
-        self._first = np.searchsorted([p for p, _ in chosen], np.arange(len(self.keys)))
+        self._own, self._first = np.unique([p for p, _ in chosen], return_index=True)
 
     def grouped(self, works: Array) -> Array:
         """Energies of unknowns (.. x unknowns) -> of the parts (.. x keys)."""
-        return np.add.reduceat(works[..., self._order], self._first, axis=-1)
+        own = np.add.reduceat(works[..., self._order], self._first, axis=-1)
+        if len(self._own) == len(self.keys):
+            return own
+        found = np.zeros((*works.shape[:-1], len(self.keys)))
+        found[..., self._own.astype(int)] = own
+        return found
 
 
 def works(joined: Joined, solution: Solution, h: float) -> Array:

@@ -217,7 +217,7 @@ class Exchange:
         own, at = np.zeros(to.shape[2], int), 0
         for c, p, q in zip(all_, right.T, left.T, strict=True):
             k = int(self.counts[c])
-            R = np.eye(k) if k == rule.k else np.array([nodes(k).value(t) for t in rule.c])
+            R = np.eye(k) if np.array_equal(nodes(k).c, rule.c) else np.array([nodes(k).value(t) for t in rule.c])
             to[:, :, at : at + k], back[:, :, at : at + k] = R[:, None, :] * p[:, None], R[:, None, :] * q[:, None]
             own[at : at + k] = self._first[c] + np.arange(k)
             at += k

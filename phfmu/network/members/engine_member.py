@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.audit.booking import Booking
-from phfmu.discretise.model import Model
+from phfmu.discretise.model import Model, build_model
 from phfmu.engine.impulses import port_kernels
 from phfmu.engine.rest_changes import RestChange
 from phfmu.network.members.columns import Columns, booked, booking
@@ -21,6 +21,7 @@ from phfmu.network.members.inputs import Inputs, places
 from phfmu.network.signal_ports import signal_places
 from phfmu.outcome.status import Status, StepFailure
 from phfmu.outcome.steps import StepEvent
+from phfmu.schemes.scheme import Scheme
 from phfmu.signals import SignalKind, labels, of_member
 
 Array = NDArray[np.float64]
@@ -76,6 +77,18 @@ class EngineMember:
     def become(self, instance: Any) -> None:
         """Is stepped by another instance of its model from now on."""
         self.instance, self._inputs = instance, Inputs(instance, self.model)
+
+    def companion(self, scheme: Scheme) -> EngineMember:
+        """A member of the same declaration and engine under another scheme."""
+        model = build_model(self.model.declaration, scheme)
+        return EngineMember(self.name, model, type(self.instance)(model), self.parts)
+
+    def follow(self, other: EngineMember) -> None:
+        """Goes on from another of the same declaration under another scheme."""
+        u = other._inputs.u.copy()
+        other.set_input(u)  # of what was told at nodes, the mean
+        self.instance.continue_from(other.instance)
+        self._inputs.u = u
 
     @property
     def units(self) -> dict[str, str]:

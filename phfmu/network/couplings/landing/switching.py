@@ -268,11 +268,16 @@ class Switching:
         self.everyone.joined.begin(self.xi)
         return self.xi
 
-    def over(self, t: float, end: float, changed: bool) -> Iterator[tuple[float, float, StepEvent | None]]:
-        """(start, length, None) of each step taken in [t, end], (time, 0, what happened) of each event."""
+    def over(
+        self, t: float, end: float, changed: bool, pause: bool = False
+    ) -> Iterator[tuple[float, float, StepEvent | None]]:
+        """(start, length, None) of each step taken in [t, end], (time, 0, what happened) of each event.
+
+        `pause`: ends after the first event, and those that follow it at the same time.
+        """
         if changed:
             self._gather()
-        for found in self._landing.within(t, end, end - t, dict, changed):
+        for found in self._landing.within(t, end, end - t, dict, changed, pause):
             if isinstance(found, Happened):
                 yield found.t, 0.0, self._words.told(found)
             else:

@@ -102,12 +102,17 @@ class Together:
 
     # -- a grid step ----------------------------------------------------------------------------------------------------
 
-    def over(self, t: float, end: float, changed: bool) -> Iterator[tuple[float, float, StepEvent | None]]:
-        """(start, length, None) of each step taken in [t, end], (time, 0, what happened at members) of each event."""
+    def over(
+        self, t: float, end: float, changed: bool, pause: bool = False
+    ) -> Iterator[tuple[float, float, StepEvent | None]]:
+        """(start, length, None) of each step taken in [t, end], (time, 0, what happened at members) of each event.
+
+        `pause`: ends after the first event, and those that follow it at the same time.
+        """
         for landing in self._landings:
             landing.begin()
         fired = self.location.begun(t, end - t) if changed else []
-        yield from grid_step(self, t, end, end - t, fired)
+        yield from grid_step(self, t, end, end - t, fired, pause=pause)
 
     @property
     def guards(self) -> int:

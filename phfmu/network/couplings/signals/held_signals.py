@@ -172,6 +172,11 @@ class HeldSignals:
         self.rows = []
         self._place(np.flatnonzero(self._port >= 0), self._now)
 
+    def follow(self, other: HeldSignals) -> None:
+        """Goes on from the signals of the same network under another exchange, whose inputs that are free are set already."""
+        self._joined.free[self._port[self._at_nodes]] = self._offset[self._at_nodes]
+        self.restore(other.state())
+
     def _hop(self, numbers: Sequence[int]) -> _Hop:
         hop = _Hop()
         for side, list_ in (("source", hop.read), ("target", hop.write)):
