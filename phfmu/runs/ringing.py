@@ -8,7 +8,7 @@ the first node for even k.  No solution that the steps resolve does that several
 
 from __future__ import annotations
 
-from collections import Counter
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -34,6 +34,8 @@ Array = NDArray[Any]
 WINDOW, JUDGED = 8, 6
 #: what a swing is told from: relative to the values in the middle of steps, and to the nominal value of the state
 SWING, SMALL = 0.05, 1e-5
+#: windows that are judged together
+TOGETHER = 16
 #: most windows for one name of events, lines told, states named in a line
 WINDOWS, LINES, NAMED = 4, 4, 3
 
@@ -41,34 +43,34 @@ WINDOWS, LINES, NAMED = 4, 4, 3
 class Ringing:
     """Watches the states of a run in the steps after its events, `damped` of which are damped; nothing where nothing happens.
 
-    Even numbers of nodes need the unknowns of the steps: then the steps after state events, which come unannounced within a
-    block, are not watched, nor models with ideal switches, whose unknowns change.
+    Even numbers of nodes need the unknowns of the steps, which are told in the steps after an event, and in all steps that end
+    on state events, since these come unannounced, until there were as many as are looked at; after those inside the steps of
+    members they are told from the next block on.  Models with ideal switches, whose unknowns change, are looked at with odd
+    numbers only.
     """
 
     def __init__(self, stepper: Stepper, h: float, damped: int):
-        found = _states(stepper)
-        names = [n for n in stepper.names if n in found]
-        self._stepper, self._h, self._damped, self._names = stepper, h, damped, names
-        self._columns = [stepper.names.index(n) for n in names]
-        self._nominal = np.array([found[n] for n in names])
-        self._even = _even(stepper)
-        self._seen = Counter[str]()
+        self._stepper, self._h, self._damped, self._told = stepper, h, damped, False
+        self._watched = _watched(stepper)
+        self._even = any(w.even for w in self._watched)
+        #: windows after state events until which steps tell their unknowns
+        self._guarded = WINDOWS * stepper.guards if self._even else 0  # pyright: ignore[reportAttributeAccessIssue]
+        self._seen = dict[str, int]()
         self._event: tuple[float, str] | None = None
-        self._rows, self._unknowns = list[Array](), list[Array]()
+        #: steps that are still to be looked at
+        self.left = 0
+        self._rows = list[tuple[Array, Array | None]]()
+        self._windows = list[_Window]()
         self._lines: list[str] = []
         self._more = 0
-
-    @property
-    def left(self) -> int:
-        """Steps that are still to be looked at."""
-        return 0 if self._event is None else WINDOW - sum(map(len, self._rows))
 
     def block(self, most: int) -> int:
         """How many of `most` steps to take at once; those after an event tell their unknowns where these are needed."""
         if not self._even:
             return most
-        self._stepper.unknowns_told = self.left > 0  # pyright: ignore[reportAttributeAccessIssue]
-        return min(most, self.left) if self.left else most
+        if self._told != (told := self.left > 0 or self._guarded > 0):
+            self._stepper.unknowns_told = self._told = told  # pyright: ignore[reportAttributeAccessIssue]
+        return min(most, self.left) if self.left and not self._stepper.lands else most
 
     def changed(self, stretch: Stretch) -> None:
         """The events at the start of a stretch."""
@@ -77,34 +79,51 @@ class Ringing:
 
     def happened(self, t: float, name: str) -> None:
         """A state event."""
-        if not self._even:
-            self._begin(t, name)
-        else:
-            self._event = None
+        self._begin(t, name)
+        self._guarded -= self.left > 0
 
     def _begin(self, t: float, name: str) -> None:
-        if not self._names or self._seen[name] >= WINDOWS:
-            self._event = None
+        """Steps are looked at from here on."""
+        seen = self._seen.get(name, 0)
+        if not self._watched or seen >= WINDOWS:
+            self.left = 0
             return
-        self._seen[name] += 1
-        self._event, self._rows, self._unknowns = (t, name), [], []
+        self._seen[name] = seen + 1
+        self._event, self.left, self._rows = (t, name), WINDOW, []
 
     def add(self, steps: Steps, damped: bool = False) -> None:
         """Steps as they were taken; with damped ones a window begins anew."""
-        left = self.left
-        if not left:
+        if not steps.events:
+            if self.left:
+                self._look(steps, 0, len(steps.H), damped)
+            return
+        begun = 0
+        for i, e in steps.events:  # inside the steps of members
+            self._look(steps, begun, i + 1, damped)
+            self.happened(e.t, e.names)
+            begun = i + 1
+        if not self._even or self._told:  # else the steps of the next block are looked at
+            self._look(steps, begun, len(steps.H), damped)
+
+    def _look(self, steps: Steps, begun: int, end: int, damped: bool) -> None:
+        if not self.left or begun == end:
             return
         if damped:
-            self._rows, self._unknowns = [], []
+            self.left, self._rows = WINDOW, []
             return
-        self._rows.append(steps.signals[:left, self._columns])
-        if steps.unknowns is not None:
-            self._unknowns.append(steps.unknowns[:left])
-        if self.left == 0:
-            self._judge()
+        end = min(end, begun + self.left)
+        self._rows.append((steps.signals[begun:end], None if steps.unknowns is None else steps.unknowns[begun:end]))
+        self.left -= end - begun
+        if not self.left:
+            assert self._event is not None
+            self._windows.append(_Window(*self._event, *_joined(self._rows)))
+            self._rows = []
+            if len(self._windows) == TOGETHER:
+                self._judge()
 
     def notes(self) -> list[str]:
         """A line for each event after which states rang."""
+        self._judge()
         if not self._lines:
             return []
         return [
@@ -114,31 +133,33 @@ class Ringing:
         ]
 
     def _judge(self) -> None:
-        assert self._event is not None
-        (t, name), self._event = self._event, None
-        ends = np.concatenate(self._rows)
-        if not self._even:
-            swing = _alternating(ends, self._nominal)
-        else:
-            swing = self._nodes.swing(ends, np.concatenate(self._unknowns), self._nominal)
-        rings = np.flatnonzero(swing)
-        if not rings.size:
+        """The windows, together: most often nothing turns in any."""
+        windows, self._windows = self._windows, []
+        if not windows:
             return
+        found = [(w, swings) for w in self._watched if (swings := w.swings(windows)) is not None]
+        for i, window in enumerate(windows) if found else ():
+            rings = [
+                (x / size, n, x, w.even)
+                for w, swings in found
+                for n, size, x in zip(w.names, w.nominal, swings[i], strict=True)
+                if x
+            ]
+            if rings:
+                self._tell(window, sorted(rings, key=lambda ring: -ring[0]))
+
+    def _tell(self, window: _Window, rings: list[tuple[float, str, float, bool]]) -> None:
+        """A line about a window; rings: (relative size, state, size, whether for an even number of nodes), the worst first."""
         if len(self._lines) == LINES:
             self._more += 1
             return
-        worst = rings[np.argsort(-swing[rings] / self._nominal[rings], kind="stable")]
-        some = ", ".join(f"{self._names[i]} by {swing[i]:.3g} {self._unit(i)}".rstrip() for i in worst[:NAMED])
-        more = f" and {len(worst) - NAMED} more" if len(worst) > NAMED else ""
-        what = "stay beside the solution" if self._even else "swing about the solution from step to step"
-        self._lines.append(f"ringing after {name} at t = {t:.9g} s: ends of steps {what}: {some}{more}")
+        some = ", ".join(f"{n} by {x:.3g} {self._unit(n)}".rstrip() for _, n, x, _ in rings[:NAMED])
+        more = f" and {len(rings) - NAMED} more" if len(rings) > NAMED else ""
+        what = "stay beside the solution" if rings[0][3] else "swing about the solution from step to step"
+        self._lines.append(f"ringing after {window.name} at t = {window.t:.9g} s: ends of steps {what}: {some}{more}")
 
-    @cached_property
-    def _nodes(self) -> _Nodes:
-        return _Nodes(self._stepper.model)  # pyright: ignore[reportAttributeAccessIssue]
-
-    def _unit(self, i: int) -> str:
-        unit = self._stepper.units.get(self._names[i], "1")
+    def _unit(self, name: str) -> str:
+        unit = self._stepper.units.get(name, "1")
         return "" if unit == "1" else unit
 
     @property
@@ -168,33 +189,96 @@ class Ringing:
         )
 
 
-def _states(stepper: Stepper) -> dict[str, float]:
-    """States of models that are stepped here by schemes without loss, with their nominal values."""
-    models: list[tuple[str, Model]] = []
+@dataclass(slots=True)
+class _Window:
+    """The last steps of those looked at after an event: ends of one more than are judged (n + 1 x columns), and the unknowns
+    of those that are (n x all), None where they were not told."""
+
+    t: float
+    name: str
+    ends: Array
+    unknowns: Array | None
+
+
+def _joined(rows: list[tuple[Array, Array | None]]) -> tuple[Array, Array | None]:
+    """Ends and unknowns of the last steps of a window."""
+    ends = np.concatenate([signals for signals, _ in rows])[-JUDGED - 1 :]
+    told = [unknowns for _, unknowns in rows if unknowns is not None]
+    return ends, np.concatenate(told)[-JUDGED:] if len(told) == len(rows) else None
+
+
+class _Watched:
+    """The states of a model among the columns of a stepper, and its unknowns (at `place`) among those that it tells.
+
+    `even`: whether it is looked at from node to node.
+    """
+
+    def __init__(self, stepper: Stepper, member: str, model: Model, place: slice, even: bool):
+        self._columns_of, self._member, self._model, self._place, self.even = stepper.names, member, model, place, even
+
+    @cached_property
+    def _states(self) -> list[tuple[str, float, int, int]]:
+        """Name, nominal value, place among the columns, place among all states."""
+        there, member = {n: i for i, n in enumerate(self._columns_of)}, self._member
+        variables = self._model.declaration.states
+        states = [(n, size) for v in variables for n, size in zip(v.names(), v.nominal, strict=True)]
+        named = [(of_member(member, n) if member else n, abs(size) or 1.0) for n, size in states]
+        return [(n, size, there[n], i) for i, (n, size) in enumerate(named) if n in there]
+
+    @cached_property
+    def names(self) -> list[str]:
+        return [n for n, _, _, _ in self._states]
+
+    @cached_property
+    def nominal(self) -> Array:
+        return np.array([size for _, size, _, _ in self._states])
+
+    @cached_property
+    def _columns(self) -> list[int]:
+        return [column for _, _, column, _ in self._states]
+
+    def swings(self, windows: list[_Window]) -> Array | None:
+        """By how much each state swings over each window (windows x states), 0 for those that do not; None where none does."""
+        if not self._columns:
+            return None
+        x = np.array([window.ends for window in windows])[:, :, self._columns]
+        if self.even:
+            return self._from_nodes(x, windows)
+        change = x[:, 1:] - x[:, :-1]
+        turns: Array = np.all(change[:, :-1] * change[:, 1:] < 0, axis=1)
+        if not turns.any():
+            return None
+        return _standing(turns, 0.5 * change[:, :-1], 0.5 * change[:, 1:], 0.5 * (x[:, 1:] + x[:, :-1]), self.nominal)
+
+    def _from_nodes(self, x: Array, windows: list[_Window]) -> Array | None:
+        untold = np.full((JUDGED, self._place.stop), np.nan)
+        told = [untold if window.unknowns is None else window.unknowns[:, : self._place.stop] for window in windows]
+        own = [i for _, _, _, i in self._states]
+        last, first = (d[:, :, own] for d in self._nodes.increments(np.array(told)[:, :, self._place]))
+        turns: Array = np.all(last[:, :-1] * first[:, 1:] < 0, axis=1)
+        return _standing(turns, last[:, :-1], first[:, 1:], x[:, 1:] - last, self.nominal) if turns.any() else None
+
+    @cached_property
+    def _nodes(self) -> _Nodes:
+        return _Nodes(self._model)
+
+
+def _watched(stepper: Stepper) -> list[_Watched]:
+    """Models that are stepped here by schemes without loss."""
     if isinstance(stepper, Monolithic):
-        models = [("", stepper.model)]
-    else:
-        from phfmu.network.couplings.coupled import Coupled
+        model = stepper.model
+        even = model.step.k % 2 == 0 and model.modes is None
+        return [] if model.loses_energy else [_Watched(stepper, "", model, slice(0, model.step.nw), even)]
+    from phfmu.network.couplings.coupled import Coupled
 
-        members = stepper.joined.members if isinstance(stepper, Coupled) else []
-        models = [(m.name, m.model) for m in members if isinstance(m, EngineMember)]
-    return {
-        of_member(member, name) if member else name: abs(nominal) or 1.0
-        for member, model in models
-        if not model.loses_energy
-        for v in model.declaration.states
-        for name, nominal in zip(v.names(), v.nominal, strict=True)
-    }
-
-
-def _even(stepper: Stepper) -> bool:
-    return isinstance(stepper, Monolithic) and stepper.model.step.k % 2 == 0 and stepper.model.modes is None
-
-
-def _alternating(ends: Array, nominal: Array) -> Array:
-    """By how much each state alternates over the ends of the last steps (n x states), 0 for those that do not."""
-    change = np.diff(ends[-JUDGED - 1 :], axis=0)
-    return _swing(0.5 * change[:-1], 0.5 * change[1:], 0.5 * (ends[-JUDGED:] + ends[-JUDGED - 1 : -1]), nominal)
+    found, at = list[_Watched](), 0
+    for m in stepper.joined.members if isinstance(stepper, Coupled) else []:
+        if isinstance(m, EngineMember):
+            even, place = m.model.step.k % 2 == 0 and m.model.modes is None, slice(at, at + m.model.step.nw)
+            at = place.stop
+            if not m.model.loses_energy:
+                found.append(_Watched(stepper, m.name, m.model, place, even))
+    return found
 
 
 class _Nodes:
@@ -202,23 +286,22 @@ class _Nodes:
 
     def __init__(self, model: Any):
         polynomial, nodes = polynomial_of(model), model.scheme.nodes
-        self._state, self._w = polynomial.state, polynomial.w
-        self._last, self._first = ((nodes.b - nodes.a[-1])[polynomial.node], nodes.a[0][polynomial.node])
+        self._state, self._w, self._states = polynomial.state, polynomial.w, polynomial.nx
+        self._last, self._first = (nodes.b - nodes.a[-1])[polynomial.node], nodes.a[0][polynomial.node]
 
-    def swing(self, ends: Array, unknowns: Array, nominal: Array) -> Array:
-        """By how much each state turns at the ends of the last steps (n x states), 0 for those that do not."""
-        before, after = (self._sums(weights, unknowns[-JUDGED:]) for weights in (self._last, self._first))
-        return _swing(before[:-1], after[1:], ends[-JUDGED:] - before, nominal)
-
-    def _sums(self, weights: Array, unknowns: Array) -> Array:
-        """Weighted sums of the increments of each state (n x states)."""
-        out = np.zeros((len(unknowns), int(self._state.max(initial=-1)) + 1))
-        np.add.at(out.T, self._state, (weights * unknowns[:, self._w]).T)
-        return out
+    def increments(self, unknowns: Array) -> tuple[Array, Array]:
+        """From the last node to the end, and from the start to the first node (windows x n x states each)."""
+        found = np.zeros((2, self._states, *unknowns.shape[:2]))
+        for out, weights in zip(found, (self._last, self._first), strict=True):
+            np.add.at(out, self._state, np.moveaxis(weights * unknowns[:, :, self._w], 2, 0))
+        return np.moveaxis(found[0], 0, 2), np.moveaxis(found[1], 0, 2)
 
 
-def _swing(before: Array, after: Array, middle: Array, nominal: Array) -> Array:
-    """The least change before and after the ends of steps, if it always has the other sign and stands out; else 0."""
-    turns = (before * after < 0).all(axis=0)
-    size = np.minimum(np.abs(before), np.abs(after)).min(axis=0)
-    return np.where(turns & (size > np.maximum(SWING * np.abs(middle).max(axis=0), SMALL * nominal)), size, 0.0)
+def _standing(turns: Array, before: Array, after: Array, middle: Array, nominal: Array) -> Array | None:
+    """The least change before and after the ends of steps, of states that turn at all of them and stand out; else 0.
+
+    All (windows x n x states), turns without n;  middle: values in the middle of the steps;  None where no state stands out
+    """
+    size = np.minimum(np.abs(before), np.abs(after)).min(axis=1)
+    out = turns & (size > np.maximum(SWING * np.abs(middle).max(axis=1), SMALL * nominal))
+    return np.where(out, size, 0.0) if out.any() else None

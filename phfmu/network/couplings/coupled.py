@@ -86,6 +86,8 @@ class Coupled:
         self._grown = SignalGrowth(self._signals.held)
         self._sums = EndSums(self.joined)
         self._jumps = JumpsApart(self.joined, self._sums)
+        #: steps are to tell the unknowns of the members that engines step
+        self.unknowns_told = False
         self._at_start: Array | None = None  #: junction unknowns of the instant before the first step
         own = [*self.joined.names, *face.names, *self._sums.names]
         self._columns = WholeColumns(network, [m.name for m in members], own)
@@ -108,6 +110,11 @@ class Coupled:
     def lands(self) -> bool:
         """Whether steps end on the zeros of guards, all members together."""
         return self._lander is not None
+
+    @property
+    def guards(self) -> int:
+        """How many guards' zeros all members end their steps on together."""
+        return 0 if self._lander is None else self._lander.guards
 
     @cached_property
     def _master(self) -> Master | None:
@@ -282,9 +289,12 @@ class Coupled:
         parts, done, self._at_start = list[Steps](), 0, None
         while done < n:
             try:
-                done += self._compiled(parts, (t0, h, first + done), n - done)
+                most = 1 if self.unknowns_told else n - done
+                done += (taken := self._compiled(parts, (t0, h, first + done), most))
                 if done == n:
                     break
+                if taken == most:
+                    continue
                 t = t0 + (first + done) * h
                 parts.append(Steps.stacked([self._step(t, h)]))
                 self._require_wanted(t + h)
@@ -314,7 +324,8 @@ class Coupled:
             steps, self.last = self._master.advance(last, self._sums, grid, fine)
         if done := len(steps.H):
             works = None if steps.works is None else self._works.grouped(steps.works)
-            parts.append(replace(steps, signals=self._columns.rows(steps.signals), works=works))
+            unknowns = self._unknowns()[None] if self.unknowns_told else None
+            parts.append(replace(steps, signals=self._columns.rows(steps.signals), works=works, unknowns=unknowns))
         if self._master.failure:
             raise self._master.failure
         if done and self._signals.any_held:
@@ -440,12 +451,19 @@ class Coupled:
         """`land` of this one or of a companion; a grid that pauses ends with the first event."""
         return instance._landed(grid, changed)
 
+    def _unknowns(self) -> Array:
+        """Of the last steps of the members that engines step."""
+        engines = (m for m in self.joined.members if isinstance(m, EngineMember))
+        return np.concatenate([m.instance.unknowns for m in engines])
+
     def _known(self, t: float, h: float) -> dict[str, Any]:
         """The record of the step just taken: the fields of `Steps`."""
         known = {"signals": self.read(), "H": self.energies(), "iterations": self.last.iterations}
         test = {"accepted_by": self.last.accepted_by} if self.last.accepted_by else {}
         book = booked(self.joined, self._works, self.last, h)
         known["events"] = (*self.last.happened, *self.joined.happened())
+        if self.unknowns_told:
+            known["unknowns"] = self._unknowns()
         if self._growth is not None:
             self._growth.watch(t, h, known["H"], book["pairs"])
         return known | test | book

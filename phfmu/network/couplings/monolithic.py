@@ -183,6 +183,11 @@ class Monolithic:
         return self.model.events is not None
 
     @property
+    def guards(self) -> int:
+        """How many zeros its steps end on."""
+        return 0 if self.model.events is None else self.model.events.n
+
+    @property
     def free_inputs(self) -> Mapping[str, Any]:
         """Names of the free inputs, also bare ones of vectors."""
         return self._inputs.free

@@ -268,6 +268,11 @@ class Switching:
         self.everyone.joined.begin(self.xi)
         return self.xi
 
+    @property
+    def guards(self) -> int:
+        """How many there are."""
+        return self._landing.guards
+
     def over(
         self, t: float, end: float, changed: bool, pause: bool = False
     ) -> Iterator[tuple[float, float, StepEvent | None]]:
