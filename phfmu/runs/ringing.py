@@ -274,7 +274,7 @@ def _watched(stepper: Stepper) -> list[_Watched]:
     found, at = list[_Watched](), 0
     for m in stepper.joined.members if isinstance(stepper, Coupled) else []:
         if isinstance(m, EngineMember):
-            even, place = m.model.step.k % 2 == 0 and m.model.modes is None, slice(at, at + m.model.step.nw)
+            even, place = m.model.step.k % 2 == 0 and m.model.modes is None, slice(at, at + len(m.instance.unknowns))
             at = place.stop
             if not m.model.loses_energy:
                 found.append(_Watched(stepper, m.name, m.model, place, even))
