@@ -104,26 +104,39 @@ class PQ(Specification):
 class Load(Specification):
     """Active power P [W] that the resistance R of a member takes, and reactive power Q [var] that its inductance L takes.
 
-    P R = |v|^2,  Q w L = |v|^2:  R and L of the member are found, which may have a capacitance beside them.  A power of 0
-    leaves its parameter as it is.  These equations are regular from a start without current, those of v and i are not.
+    P R = |v|^2,  Q w L = |v|^2:  R and L of the member are found, which may have a capacitance beside them.  A negative Q is
+    delivered by its capacitance instead: -Q = w (C - beside) |v|^2, in which `beside` [F] is what C has besides the load.
+    A power of 0 leaves its parameter as it is.  These equations are regular from a start without current, those of v and i
+    are not.
     """
 
     P: float
     Q: float = 0.0
+    beside: float = 0.0
 
     def __post_init__(self) -> None:
-        if self.P < 0 or self.Q < 0:
-            raise ValueError(
-                f"Load at {self.port}: P = {self.P:g} W and Q = {self.Q:g} var must not be negative; use PQ"
-            )
+        if self.P < 0:
+            raise ValueError(f"Load at {self.port}: P = {self.P:g} W must not be negative; use PQ")
+
+    @property
+    def freed(self) -> tuple[str, ...]:
+        """The parameters of the member that are found."""
+        reactive = "L" if self.Q > 0 else "C"
+        return tuple(name for name, power in (("R", self.P), (reactive, self.Q)) if power)
 
     @property
     def count(self) -> int:
-        return sum(power != 0 for power in (self.P, self.Q))
+        return len(self.freed)
 
     def residual(self, v: Array, i: Array, free: Array, omega: float) -> Residual:
-        factors = np.array([x for x in (self.P, self.Q * omega) if x])
         square, n = v @ v, self.count
-        size = factors * free
-        value, by_v = square / size - 1.0, 2.0 * v / size[:, None]
-        return value, by_v, np.zeros((n, 2)), np.diag(-square / size / free)
+        values, by_v, by_free = np.empty(n), np.empty((n, 2)), np.zeros((n, n))
+        for k, (name, x) in enumerate(zip(self.freed, free, strict=True)):
+            if name == "C":
+                size = -self.Q
+                values[k] = omega * (x - self.beside) * square / size - 1.0
+                by_v[k], by_free[k, k] = 2.0 * omega * (x - self.beside) * v / size, omega * square / size
+            else:
+                size = x * (self.P if name == "R" else self.Q * omega)
+                values[k], by_v[k], by_free[k, k] = square / size - 1.0, 2.0 * v / size, -square / size / x
+        return values, by_v, np.zeros((n, 2)), by_free

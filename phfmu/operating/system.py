@@ -245,9 +245,8 @@ class System:
         model = self.net.declared[end.member]
         if isinstance(specification, Load):
             names = [v.name for v in model.parameters]
-            wanted = [n for n, power in (("R", specification.P), ("L", specification.Q)) if power]
-            if set(wanted) <= set(names):
-                return [of_member(end.member, n) for n in wanted]
+            if set(specification.freed) <= set(names):
+                return [of_member(end.member, n) for n in specification.freed]
         joined = {e.port for e in self.at_port if e.member == end.member}
         inputs = [n for p, _ in ordered_ports(model) if p.external and p.name not in joined for n in p.input_names()]
         if len(inputs) == 2:

@@ -1,0 +1,402 @@
+"""A grid as a network: machines, lines, transformers, loads and plants of the table, and what its operating point meets."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from math import floor, log10, pi, sqrt
+from typing import Literal
+
+import numpy as np
+
+from phfmu import PHDAE, Network, meant
+from phfmu.components.electrical.breaker import breaker
+from phfmu.components.electrical.machines.synchronous_machine import synchronous_machine
+from phfmu.components.electrical.resistor import transformer
+from phfmu.components.electrical.rl_line import rl_line
+from phfmu.components.electrical.rlc_load import rlc_load
+from phfmu.components.electrical.sources import balanced_current_source
+from phfmu.components.electrical.switch import fault_resistor
+from phfmu.components.grids.machines import MODELS, dropped, machine_of
+from phfmu.components.grids.report import Report, Row
+from phfmu.importers.grid import Dynamics, Generator, Grid, GridError, Line, Transformer
+from phfmu.operating import PQ, PV, Load, NetworkPoint, Slack, Specification, operating_point
+
+#: kinds of buses of the table
+LOAD, VOLTAGE, SLACK, ISOLATED = 1, 2, 3, 4
+Plants = Literal["refuse", "currents"]
+SEQUENCES = "zero sequence as positive sequence; phases untransposed parts alike"
+
+
+@dataclass(frozen=True)
+class GridModel:
+    """The network of a grid, the specifications of its operating point, and the account of the import.
+
+    Junctions bus1 .. bear the numbers of the buses; members line1_2, transformer1_2 with leakage1_2, gen1, plant1, load1
+    (with the charging of the lines at bus 1, shunt1 where there is no load), reactor1, fault1.  Circuits in parallel, and
+    several units at a bus, have their identifiers at the end: gen1_A, line1_2_2.
+    """
+
+    grid: Grid
+    network: Network
+    specifications: tuple[Specification, ...]
+    report: Report
+
+    @cached_property
+    def point(self) -> NetworkPoint:
+        """The operating point: voltages and powers of the table; NoOperatingPoint says what stands out."""
+        return operating_point(self.network, self.specifications, self.grid.frequency)
+
+    def voltages(self) -> dict[int, complex]:
+        """Phasors of the voltages at the operating point in per unit, by bus."""
+        kv = self.grid.bus
+        out = {}
+        for junction in self.point.voltages:
+            if junction.startswith("bus"):
+                n = int(junction[3:])
+                out[n] = self.point.magnitude(junction) / (kv[n].kv * 1e3) * np.exp(1j * self.point.angle(junction))
+        return out
+
+    def fault_conductance(self, bus: int, R: float) -> float:
+        """The conductance in S of a fault of R [pu] at a bus."""
+        return self.grid.base / (R * self.grid.bus[bus].kv ** 2)
+
+
+def grid_model(
+    grid: Grid, *, plants: Plants = "refuse", faults: Collection[int] = (), breakers: Collection[str] = ()
+) -> GridModel:
+    """The network of a grid, begun flat at the voltages of the table, and what its operating point has to meet.
+
+    plants: generators without data of a machine are refused, or constant balanced `currents`, as is a load of negative power
+    faults: buses with a fault resistor, open;  breakers: lines or transformers (line1_2) whose poles can open
+    GridError names what has no part here, and machines without data.
+    """
+    if plants not in ("refuse", "currents"):
+        raise ValueError(f"plants = '{plants}' is neither refuse nor currents")
+    return _Build(grid, plants, faults, breakers).model()
+
+
+@dataclass
+class _Node:
+    """A bus under construction: ends of members, powers in per unit, b [pu] of capacitors and of reactors, g of conductances."""
+
+    ends: list[str] = field(default_factory=list)
+    capacitance: float = 0.0
+    reactance: float = 0.0
+    conductance: float = 0.0
+    demands: list[complex] = field(default_factory=list)
+
+
+class _Build:
+    def __init__(self, grid: Grid, plants: Plants, faults: Collection[int], breakers: Collection[str]):
+        self.grid, self.plants = grid, plants
+        self.omega = 2.0 * pi * grid.frequency
+        self.bus = grid.bus
+        self.net = Network(_identifier(grid.name) or "grid", description=f"{grid.name}: {len(grid.buses)} buses")
+        self.rows: list[Row] = []
+        self.notes: list[str] = [f"not represented: {line}" for line in grid.unused]
+        self.problems: list[str] = []
+        self.specifications: list[Specification] = []
+        self.alike: dict[tuple[object, ...], PHDAE] = {}
+        self.nodes = {b.number: _Node() for b in grid.buses if b.kind != ISOLATED}
+        self.branches = self._named_branches()
+        self.breakers = [self._branch(name) for name in breakers]
+        self.faults = [self._known(b) for b in faults]
+
+    def model(self) -> GridModel:
+        """All parts in the order in which a step's equations are read best: branches, buses, units."""
+        for name, branch in self.branches.items():
+            (self._line if isinstance(branch, Line) else self._transformer)(name, branch)
+        for shunt in self.grid.shunts:
+            if shunt.on and shunt.bus in self.nodes:
+                self._admittance(shunt.bus, shunt.g / self.grid.base, shunt.b / self.grid.base)
+                self.rows.append(Row("shunt", f"shunt '{shunt.id}' at bus {shunt.bus}", (), "g, b"))
+        self._units()
+        self._demands()
+        for number, node in self.nodes.items():
+            self._at_bus(number, node)
+        for number in self.faults:
+            self.net.add(f"fault{number}", fault_resistor(nominal=self._peak(number)))
+            self.nodes[number].ends.append(f"fault{number}.terminal")
+        for number, node in self.nodes.items():
+            if len(node.ends) > 1:
+                self.net.junction(f"bus{number}", node.ends)
+            else:
+                self.problems.append(
+                    f"bus {number} has {len(node.ends)} part; give its voltage something to act on (a load, the "
+                    "charging of a line), or take it out (type 4)"
+                )
+        if self.problems:
+            raise GridError(self.grid.name, self.problems)
+        self._account_of_dynamics()
+        return GridModel(self.grid, self.net, tuple(self.specifications), Report(tuple(self.rows), tuple(self.notes)))
+
+    # -- bases and names ---------------------------------------------------------------------------------------------
+
+    def _peak(self, bus: int) -> float:
+        return self.bus[bus].kv * 1e3 * sqrt(2.0 / 3.0)
+
+    def _impedance(self, bus: int) -> float:
+        return self.bus[bus].kv ** 2 / self.grid.base
+
+    def _current(self, bus: int) -> float:
+        """Peak of the current that carries the base power."""
+        return sqrt(2.0 / 3.0) * self.grid.base * 1e3 / self.bus[bus].kv
+
+    def _part(self, name: str, key: Sequence[object], build: Callable[[], PHDAE], values: Mapping[str, float]) -> None:
+        """A member alike others of its key: their declaration is built once, and each has values of its own."""
+        whole = tuple(key)
+        if whole not in self.alike:
+            self.alike[whole] = build()
+        self.net.add(name, self.alike[whole].with_starts(values))
+
+    def _known(self, number: int) -> int:
+        if number not in self.nodes:
+            words = [str(n) for n in self.nodes]
+            raise GridError(self.grid.name, [f"no bus {number} in service for a fault; {meant(str(number), words)}"])
+        return number
+
+    def _branch(self, name: str) -> str:
+        """The name of a branch, also with its buses the other way round."""
+        plain = name.replace("-", "_")
+        if plain in self.branches:
+            return plain
+        m = re.fullmatch(r"([a-z]+)(\d+)_(\d+)(.*)", plain)
+        turned = "" if m is None else f"{m[1]}{m[3]}_{m[2]}{m[4]}"
+        if turned in self.branches:
+            return turned
+        raise GridError(self.grid.name, [f"no line or transformer '{name}' in service; {meant(plain, self.branches)}"])
+
+    def _named_branches(self) -> dict[str, Line | Transformer]:
+        rows = [b for b in (*self.grid.lines, *self.grid.transformers) if b.on]
+        off = len(self.grid.lines) + len(self.grid.transformers) - len(rows)
+        if off:
+            self.notes.append(f"out of service: {off} branches")
+        out: dict[str, Line | Transformer] = {}
+        labels = [f"{'line' if isinstance(b, Line) else 'transformer'}{b.i}_{b.j}" for b in rows]
+        several = {n for n in labels if labels.count(n) > 1} if len(set(labels)) < len(labels) else set()
+        for label, b in zip(labels, rows, strict=True):
+            dead = [n for n in (b.i, b.j) if n not in self.nodes]
+            if dead:
+                self.notes.append(f"not represented: {label}, whose bus {dead[0]} is isolated")
+                continue
+            out[f"{label}_{_identifier(b.circuit)}" if label in several else label] = b
+        return out
+
+    # -- branches ----------------------------------------------------------------------------------------------------
+
+    def _series(self, name: str, z: complex, a: int, b: int, switched: bool) -> None:
+        """R and L of a branch whose values are of the voltage of bus b."""
+        Z = self._impedance(b)
+        R, L = z.real * Z, z.imag * Z / self.omega
+        v, i = self._peak(b), self._current(b)
+        if switched:
+            self.net.add(name, breaker(R, L, i=i, v=v))
+        else:
+            self._part(name, ("line", v, _decade(L)), lambda: rl_line(R, L, v=v, rated=i), {"R": R, "L": L})
+
+    def _line(self, name: str, line: Line) -> None:
+        device = f"line {line.i}-{line.j} '{line.circuit}'"
+        if not self._sound(device, line.r, line.x):
+            return
+        self._series(name, complex(line.r, line.x), line.i, line.j, name in self.breakers)
+        for bus, end, k in ((line.i, "a", 0), (line.j, "b", 2)):
+            self.nodes[bus].ends.append(f"{name}.{end}")
+            self._admittance(bus, line.ends[k], line.b / 2 + line.ends[k + 1])
+        stays = "; its charging stays at the buses when its poles open" if name in self.breakers else ""
+        self.rows.append(
+            Row("line", device, (name,), "r, x, b", "ratings", f"zero sequence as the positive one{stays}")
+        )
+
+    def _transformer(self, name: str, t: Transformer) -> None:
+        device = f"transformer {t.i}-{t.j} '{t.circuit}'"
+        if not self._sound(device, t.r, t.x):
+            return
+        if abs(t.shift) > 1e-12:
+            self.problems.append(
+                f"{device}: it shifts the phase by {t.shift * 180 / pi:g} degrees, and there is no part for it"
+            )
+            return
+        leakage = name.replace("transformer", "leakage")
+        self._series(leakage, complex(t.r, t.x), t.i, t.j, name in self.breakers)
+        v, i = self._peak(t.i), self._current(t.j)
+        ratio = self.bus[t.j].kv / self.bus[t.i].kv / t.tap
+        self._part(name, ("transformer", v, i), lambda: transformer(ratio, size=3, v=v, i=i), {"n": ratio})
+        self.net.connect(f"{name}.b", f"{leakage}.a", name=f"inside_{name}")
+        self.nodes[t.i].ends.append(f"{name}.a")
+        self.nodes[t.j].ends.append(f"{leakage}.b")
+        self._admittance(t.i, t.g, t.b)
+        group = f"vector group {t.group}" if t.group else ""
+        words = "Yy0, zero sequence as the positive one"
+        self.rows.append(Row("transformer", device, (name, leakage), "r, x, ratio", group, words))
+
+    def _sound(self, device: str, r: float, x: float) -> bool:
+        """Whether a branch has a part; if not, the problem is noted."""
+        if x > 0 and r >= 0:
+            return True
+        if x == 0:
+            why = "x = 0: give it an inductance, or make its two buses one"
+        elif x < 0:
+            why = f"x = {x:g} pu: there is no part for a series capacitor here"
+        else:
+            why = f"r = {r:g} pu is negative"
+        self.problems.append(f"{device}: {why}")
+        return False
+
+    # -- buses -------------------------------------------------------------------------------------------------------
+
+    def _admittance(self, bus: int, g: float, b: float) -> None:
+        node = self.nodes[bus]
+        node.conductance += g
+        node.capacitance += max(b, 0.0)
+        node.reactance += max(-b, 0.0)
+
+    def _demands(self) -> None:
+        """Loads in per unit at the voltage of the table, those of a bus together."""
+        base = self.grid.base
+        for d in self.grid.demands:
+            if not d.on or d.bus not in self.nodes:
+                continue
+            v = self.bus[d.bus].vm
+            s = complex(d.p + d.ip * v + d.yp * v**2, d.q + d.iq * v - d.yq * v**2) / base
+            device = f"load '{d.id}' at bus {d.bus}"
+            if s.real < 0:
+                self._current_plant(f"feed{d.bus}_{_identifier(d.id)}", d.bus, -s * base, abs(s) * base, None)
+                self.rows.append(Row("load", device, (f"feed{d.bus}_{_identifier(d.id)}",), "p, q", "",
+                                     "negative power: a constant current"))  # fmt: skip
+                continue
+            self.nodes[d.bus].demands.append(s)
+            self.rows.append(
+                Row("load", device, (f"load{d.bus}",), "p, q", "", "constant impedance, R parallel to L or C")
+            )
+
+    def _at_bus(self, number: int, node: _Node) -> None:
+        """R, L, C at a bus in one member: its load with the charging of lines; reactors stand beside it."""
+        Z, v, s = self._impedance(number), self._peak(number), sum(node.demands, 0j)
+        flat = _phases(v * self.bus[number].vm)
+        charging = node.capacitance / Z / self.omega
+        R = Z / s.real if s.real > 0 else None
+        L = Z / s.imag / self.omega if s.imag > 0 else None
+        C = (node.capacitance + max(-s.imag, 0.0)) / Z / self.omega or None
+        name = f"load{number}" if s else f"shunt{number}"
+        if R or L or C:
+            self._load(name, number, R, L, C, flat)
+            P, Q = s.real * self.grid.base * 1e6, s.imag * self.grid.base * 1e6
+            if P or Q:
+                self.specifications.append(Load(f"{name}.terminal", P=P, Q=Q, beside=charging))
+        if node.reactance:
+            self._load(f"reactor{number}", number, None, Z / node.reactance / self.omega, None, flat)
+        if node.conductance > 0:
+            self._load(f"conductance{number}", number, Z / node.conductance, None, None, flat)
+        elif node.conductance < 0:
+            self.problems.append(
+                f"bus {number}: its shunts have g = {node.conductance:g} pu, which would feed the grid"
+            )
+
+    def _load(
+        self, name: str, number: int, R: float | None, L: float | None, C: float | None, flat: Sequence[float]
+    ) -> None:
+        """A member of R, L, C from the voltages `flat`, those of L a quarter turn later."""
+        v = self._peak(number)
+        values = {n: x for n, x in (("R", R), ("L", L), ("C", C)) if x is not None}
+        if C is not None:
+            values |= {f"charge[{k + 1}]": C * x for k, x in enumerate(flat)}
+        if L is not None:
+            later = [(flat[k - 1] - flat[k - 2]) / sqrt(3.0) / self.omega for k in range(3)]
+            values |= {f"flux[{k + 1}]": -x for k, x in enumerate(later)}
+        key = ("load", v, R is None, L is None, None if C is None else _decade(C))
+        self._part(name, key, lambda: rlc_load(R, L, C, v=flat, nominal=v), values)
+        self.nodes[number].ends.append(f"{name}.terminal")
+
+    # -- machines and plants -----------------------------------------------------------------------------------------
+
+    def _units(self) -> None:
+        """The machines and plants; the largest machine of a bus whose voltage is known holds it, the others deliver P and Q."""
+        data = {(d.bus, d.id): d for d in self.grid.dynamics if d.model in MODELS}
+        units = [g for g in self.grid.generators if g.on and g.bus in self.nodes]
+        at: dict[int, list[Generator]] = {}
+        for g in units:
+            at.setdefault(g.bus, []).append(g)
+        if self.grid.slack.number not in at:
+            self.problems.append(f"slack bus {self.grid.slack.number}: no generator in service")
+        missing = [g for g in units if (g.bus, g.id) not in data]
+        if missing and self.plants == "refuse":
+            self.problems += [
+                f"bus {g.bus}, machine '{g.id}': no dynamic data ({', '.join(MODELS)}); give them, or take plants without "
+                "data as constant currents (--plants currents, plants='currents')" for g in missing
+            ]  # fmt: skip
+            return
+        for number, there in at.items():
+            first = min(there, key=lambda g: ((g.bus, g.id) not in data, -g.base))
+            for g in there:
+                name = f"{'gen' if (g.bus, g.id) in data else 'plant'}{number}"
+                name = f"{name}_{_identifier(g.id)}" if len(there) > 1 else name
+                holds = self.bus[number].kind in (VOLTAGE, SLACK) and g is first
+                self._unit(name, g, data.get((g.bus, g.id)), holds)
+
+    def _unit(self, name: str, g: Generator, data: Dynamics | None, holds: bool) -> None:
+        device, kind = f"generator '{g.id}' at bus {g.bus}", "machine" if data else "plant"
+        used = "p, voltage" if holds else "p, q"
+        remote = f"voltage held at bus {g.holds}" if g.holds != g.bus else ""
+        if data is None:
+            if self._current_plant(name, g.bus, complex(g.p, g.q), g.base, holds):
+                self.rows.append(
+                    Row(kind, device, (name,), used, remote, "no machine data: a constant balanced current")
+                )
+            else:
+                self.rows.append(Row(kind, device, (), "nothing: p = q = 0"))
+            return
+        try:
+            machine = machine_of(name, g, data, self.bus[g.bus].kv, self.grid.frequency)
+        except GridError as error:
+            self.problems += [str(error)]
+            return
+        self.net.add(name, synchronous_machine(machine))
+        self.nodes[g.bus].ends.append(f"{name}.terminal")
+        self._specify(f"{name}.terminal", g.bus, complex(g.p, g.q), holds, None)
+        unused = "; ".join(x for x in (remote, dropped(data), "limits of q") if x)
+        self.rows.append(Row(kind, device, (name,), f"{used}, {data.model}", unused, "field and torque constant"))
+
+    def _current_plant(self, name: str, bus: int, s: complex, size: float, holds: bool | None) -> bool:
+        """A balanced current that meets P and Q (or the voltage); False where it would be no current at all."""
+        if not s and not holds:
+            return False
+        v, i = self._peak(bus), sqrt(2.0 / 3.0) * size * 1e3 / self.bus[bus].kv
+        z = (s * 1e6 / (1.5 * v)).conjugate()
+        self._part(name, ("plant", v, _decade(i)), lambda: balanced_current_source(0.0, 0.0, self.grid.frequency, v=v, i=i),
+                   {"A": z.real, "B": z.imag})  # fmt: skip
+        self.nodes[bus].ends.append(f"{name}.terminal")
+        self._specify(f"{name}.terminal", bus, s, bool(holds), (f"{name}.A", f"{name}.B"))
+        return True
+
+    def _specify(self, port: str, bus: int, s: complex, holds: bool, free: tuple[str, str] | None) -> None:
+        V = self.bus[bus].vm * self.bus[bus].kv * 1e3
+        if holds and self.bus[bus].kind == SLACK:
+            self.specifications.append(Slack(port, free, V=V, angle=self.bus[bus].va))
+        elif holds:
+            self.specifications.append(PV(port, free, P=s.real * 1e6, V=V))
+        else:
+            self.specifications.append(PQ(port, free, P=s.real * 1e6, Q=s.imag * 1e6))
+
+    def _account_of_dynamics(self) -> None:
+        """Dynamic data that no part takes, by model."""
+        count: dict[str, int] = {}
+        for d in self.grid.dynamics:
+            if d.model not in MODELS:
+                count[d.model] = count.get(d.model, 0) + 1
+        self.notes += [f"not represented: {n} {model}" for model, n in count.items()]
+
+
+def _phases(peak: float) -> list[float]:
+    return [peak, -peak / 2, -peak / 2]
+
+
+def _decade(x: float) -> int:
+    """Values of one decade have typical sizes in common."""
+    return floor(log10(x)) if x > 0 else 0
+
+
+def _identifier(text: str) -> str:
+    return re.sub(r"[^A-Za-z0-9]+", "_", text).strip("_")

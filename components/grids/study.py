@@ -1,0 +1,4 @@
+"""Fault studies of grids as scenes."""
+
+
+def grid_scene(): ...
