@@ -84,19 +84,18 @@ def current_source(
     )  # fmt: skip
 
 
-def balanced_current_source(A: float, B: float, frequency: float = 60.0, *, v: float = 1.0, i: float = 1.0) -> PHDAE:
-    """Plant that delivers the balanced current A cos(omega t - alpha) - B sin(omega t - alpha), whatever its voltage is.
+def balanced_current_source(phasor: complex, frequency: float = 60.0, *, v: float = 1.0, i: float = 1.0) -> PHDAE:
+    """Plant that delivers the balanced current Re(phasor exp(j (omega t - alpha))), whatever its voltage is.
 
-    A + jB is the phasor of phase a at t = 0;  alpha = (0, 2 pi/3, -2 pi/3),  omega = 2 pi frequency; the rest as in
-    `current_source`.
+    alpha = (0, 2 pi/3, -2 pi/3),  omega = 2 pi frequency; the rest as in `current_source`.
 
-    parameters:  A, B [A] (peak), omega [rad/s]
+    parameters:  phasor (2) [A] (peak): real and imaginary part, omega [rad/s]
     frequency [Hz];  `v` [V], `i` [A]: typical magnitudes.
     """
-    a = parameter("A", A, unit="A", description="real part of the phasor that it delivers")
-    b = parameter("B", B, unit="A", description="imaginary part of it")
+    z = complex(phasor)
+    parts = parameter("phasor", [z.real, z.imag], 2, unit="A", description="current of phase a that it delivers")
     w = parameter("omega", 2.0 * pi * frequency, unit="rad/s", description="angular frequency")
     angles = [w * time - alpha for alpha in (0.0, 2.0 * pi / 3.0, -2.0 * pi / 3.0)]
-    current = ca.vertcat(*(a * ca.cos(x) - b * ca.sin(x) for x in angles))
-    source = current_source(current, size=3, parameters=(a, b, w), v=v, i=i, elements=PHASES)
+    current = ca.vertcat(*(parts[0] * ca.cos(x) - parts[1] * ca.sin(x) for x in angles))
+    source = current_source(current, size=3, parameters=(parts, w), v=v, i=i, elements=PHASES)
     return replace(source, name="balanced_current_source", description="constant balanced three-phase current")

@@ -6,19 +6,22 @@ import re
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from math import floor, log10, pi, sqrt
+from math import cos, floor, log10, pi, sqrt
 from typing import Literal
 
 import numpy as np
 
 from phfmu import PHDAE, Network, meant
 from phfmu.components.electrical.breaker import breaker
+from phfmu.components.electrical.capacitors import capacitor_network
+from phfmu.components.electrical.machines.machine_init import ALPHA
 from phfmu.components.electrical.machines.synchronous_machine import synchronous_machine
 from phfmu.components.electrical.resistor import transformer
 from phfmu.components.electrical.rl_line import rl_line
 from phfmu.components.electrical.rlc_load import rlc_load
 from phfmu.components.electrical.sources import balanced_current_source
 from phfmu.components.electrical.switch import fault_resistor
+from phfmu.components.grids.angles import angles, apart
 from phfmu.components.grids.machines import MODELS, dropped, machine_of
 from phfmu.components.grids.report import Report, Row
 from phfmu.importers.grid import Dynamics, Generator, Grid, GridError, Line, Transformer
@@ -102,6 +105,12 @@ class _Build:
         self.alike: dict[tuple[object, ...], PHDAE] = {}
         self.nodes = {b.number: _Node() for b in grid.buses if b.kind != ISOLATED}
         self.branches = self._named_branches()
+        if lost := apart(grid, self.nodes, self.branches.values()):
+            raise GridError(grid.name, [f"bus {n}: no branch in service joins it to the slack bus {grid.slack.number}; "
+                                        "take it out (type 4)" for n in lost[:5]])  # fmt: skip
+        self.angle = angles(grid, self.nodes, self.branches.values())
+        #: bus -> the set of buses that series capacitors join it to
+        self.joined = self._joined_buses()
         self.breakers = [self._branch(name) for name in breakers]
         self.faults = [self._known(b) for b in faults]
 
@@ -117,6 +126,8 @@ class _Build:
         self._demands()
         for number, node in self.nodes.items():
             self._at_bus(number, node)
+        for group in {id(g): g for g in self.joined.values()}.values():
+            self._capacitors(sorted(group))
         for number in self.faults:
             self.net.add(f"fault{number}", fault_resistor(nominal=self._peak(number)))
             self.nodes[number].ends.append(f"fault{number}.terminal")
@@ -151,6 +162,11 @@ class _Build:
         if whole not in self.alike:
             self.alike[whole] = build()
         self.net.add(name, self.alike[whole].with_starts(values))
+
+    def _flat(self, bus: int) -> list[float]:
+        """The voltages that a bus begins with: the magnitude of the table at the angle of the linear power flow."""
+        v, angle = self._peak(bus) * self.bus[bus].vm, self.angle[bus]
+        return [v * cos(angle - alpha) for alpha in ALPHA]
 
     def _known(self, number: int) -> int:
         if number not in self.nodes:
@@ -187,24 +203,33 @@ class _Build:
 
     # -- branches ----------------------------------------------------------------------------------------------------
 
-    def _series(self, name: str, z: complex, a: int, b: int, switched: bool) -> None:
-        """R and L of a branch whose values are of the voltage of bus b."""
+    def _series(self, name: str, z: complex, a: int, b: int, ratio: float, switched: bool) -> None:
+        """R and L of a branch at bus b, whose other end has the voltage of bus a times `ratio`."""
         Z = self._impedance(b)
         R, L = z.real * Z, z.imag * Z / self.omega
         v, i = self._peak(b), self._current(b)
         if switched:
             self.net.add(name, breaker(R, L, i=i, v=v))
         else:
-            self._part(name, ("line", v, _decade(L)), lambda: rl_line(R, L, v=v, rated=i), {"R": R, "L": L})
+            begun = {f"a.v[{k + 1}]": x for k, x in enumerate(ratio * y for y in self._flat(a))}
+            begun |= {f"b.v[{k + 1}]": x for k, x in enumerate(self._flat(b))}
+            self._part(name, ("line", v, _decade(L)), lambda: rl_line(R, L, v=v, rated=i), {"R": R, "L": L} | begun)
 
     def _line(self, name: str, line: Line) -> None:
         device = f"line {line.i}-{line.j} '{line.circuit}'"
+        for bus, k in ((line.i, 0), (line.j, 2)):
+            self._admittance(bus, line.ends[k], line.b / 2 + line.ends[k + 1])
+        if line.x < 0:
+            unused = f"r = {line.r:g} pu" if line.r else ""
+            self.rows.append(Row("series capacitor", device, (self._group_name(self.joined[line.i]),), "x, b", unused))
+            if name in self.breakers:
+                self.problems.append(f"{device}: a series capacitor cannot be tripped; trip the line beside it")
+            return
         if not self._sound(device, line.r, line.x):
             return
-        self._series(name, complex(line.r, line.x), line.i, line.j, name in self.breakers)
-        for bus, end, k in ((line.i, "a", 0), (line.j, "b", 2)):
+        self._series(name, complex(line.r, line.x), line.i, line.j, 1.0, name in self.breakers)
+        for bus, end in ((line.i, "a"), (line.j, "b")):
             self.nodes[bus].ends.append(f"{name}.{end}")
-            self._admittance(bus, line.ends[k], line.b / 2 + line.ends[k + 1])
         stays = "; its charging stays at the buses when its poles open" if name in self.breakers else ""
         self.rows.append(
             Row("line", device, (name,), "r, x, b", "ratings", f"zero sequence as the positive one{stays}")
@@ -220,9 +245,9 @@ class _Build:
             )
             return
         leakage = name.replace("transformer", "leakage")
-        self._series(leakage, complex(t.r, t.x), t.i, t.j, name in self.breakers)
-        v, i = self._peak(t.i), self._current(t.j)
         ratio = self.bus[t.j].kv / self.bus[t.i].kv / t.tap
+        self._series(leakage, complex(t.r, t.x), t.i, t.j, ratio, name in self.breakers)
+        v, i = self._peak(t.i), self._current(t.j)
         self._part(name, ("transformer", v, i), lambda: transformer(ratio, size=3, v=v, i=i), {"n": ratio})
         self.net.connect(f"{name}.b", f"{leakage}.a", name=f"inside_{name}")
         self.nodes[t.i].ends.append(f"{name}.a")
@@ -239,11 +264,48 @@ class _Build:
         if x == 0:
             why = "x = 0: give it an inductance, or make its two buses one"
         elif x < 0:
-            why = f"x = {x:g} pu: there is no part for a series capacitor here"
+            why = f"x = {x:g} pu: a transformer has a positive leakage; give its windings otherwise"
         else:
             why = f"r = {r:g} pu is negative"
         self.problems.append(f"{device}: {why}")
         return False
+
+    def _joined_buses(self) -> dict[int, set[int]]:
+        """Bus -> buses that series capacitors join to it, itself among them."""
+        joined: dict[int, set[int]] = {}
+        for line in self._series_capacitors():
+            both = joined.get(line.i, {line.i}) | joined.get(line.j, {line.j})
+            joined |= dict.fromkeys(both, both)
+        return joined
+
+    def _series_capacitors(self) -> list[Line]:
+        return [b for b in self.branches.values() if isinstance(b, Line) and b.x < 0]
+
+    def _group_name(self, group: Collection[int]) -> str:
+        return f"capacitors{min(group)}"
+
+    def _capacitors(self, buses: list[int]) -> None:
+        """The capacitors of buses that series capacitors join, in one member: their loops have no charge of their own."""
+        place = {b: k for k, b in enumerate(buses)}
+        C = np.diag([self.nodes[b].capacitance / self._impedance(b) / self.omega for b in buses])
+        for line in self._series_capacitors():
+            if line.i in place:
+                k, l = place[line.i], place[line.j]
+                own = 1.0 / (-line.x * self._impedance(line.j) * self.omega)
+                C += np.array([[own * (int(r == k) - int(r == l)) * (int(c == k) - int(c == l)) for c in range(len(buses))]
+                               for r in range(len(buses))])  # fmt: skip
+        name, v = self._group_name(buses), [self._flat(b) for b in buses]
+        try:
+            member = capacitor_network(C.tolist(), v=v, nominal=self._peak(buses[0]), rated=self._current(buses[0]))
+        except ValueError:
+            self.problems.append(
+                f"series capacitors between buses {', '.join(map(str, buses))}: none of these has the charging of a line, so "
+                "that their voltages to ground are not determined; give one of them b"
+            )
+            return
+        self.net.add(name, member)
+        for b, k in place.items():
+            self.nodes[b].ends.append(f"{name}.terminal{k + 1}")
 
     # -- buses -------------------------------------------------------------------------------------------------------
 
@@ -274,12 +336,17 @@ class _Build:
 
     def _at_bus(self, number: int, node: _Node) -> None:
         """R, L, C at a bus in one member: its load with the charging of lines; reactors stand beside it."""
-        Z, v, s = self._impedance(number), self._peak(number), sum(node.demands, 0j)
-        flat = _phases(v * self.bus[number].vm)
+        Z, s = self._impedance(number), sum(node.demands, 0j)
+        flat = self._flat(number)
         charging = node.capacitance / Z / self.omega
         R = Z / s.real if s.real > 0 else None
         L = Z / s.imag / self.omega if s.imag > 0 else None
         C = (node.capacitance + max(-s.imag, 0.0)) / Z / self.omega or None
+        if number in self.joined:
+            C = None
+            if s.imag < 0:
+                self.problems.append(f"bus {number}: its load delivers {-s.imag * self.grid.base:g} Mvar beside a series "
+                                     "capacitor, which has no part; give it as a shunt")  # fmt: skip
         name = f"load{number}" if s else f"shunt{number}"
         if R or L or C:
             self._load(name, number, R, L, C, flat)
@@ -353,7 +420,9 @@ class _Build:
         except GridError as error:
             self.problems += [str(error)]
             return
-        self.net.add(name, synchronous_machine(machine))
+        model = synchronous_machine(machine)
+        theta = next(v for v in model.states if v.name == "theta").start[0] + self.angle[g.bus]
+        self.net.add(name, model.with_starts({"theta": theta}))
         self.nodes[g.bus].ends.append(f"{name}.terminal")
         self._specify(f"{name}.terminal", g.bus, complex(g.p, g.q), holds, None)
         unused = "; ".join(x for x in (remote, dropped(data), "limits of q") if x)
@@ -365,10 +434,10 @@ class _Build:
             return False
         v, i = self._peak(bus), sqrt(2.0 / 3.0) * size * 1e3 / self.bus[bus].kv
         z = (s * 1e6 / (1.5 * v)).conjugate()
-        self._part(name, ("plant", v, _decade(i)), lambda: balanced_current_source(0.0, 0.0, self.grid.frequency, v=v, i=i),
-                   {"A": z.real, "B": z.imag})  # fmt: skip
+        self._part(name, ("plant", v, _decade(i)), lambda: balanced_current_source(0.0, self.grid.frequency, v=v, i=i),
+                   {"phasor[1]": z.real, "phasor[2]": z.imag})  # fmt: skip
         self.nodes[bus].ends.append(f"{name}.terminal")
-        self._specify(f"{name}.terminal", bus, s, bool(holds), (f"{name}.A", f"{name}.B"))
+        self._specify(f"{name}.terminal", bus, s, bool(holds), (f"{name}.phasor[1]", f"{name}.phasor[2]"))
         return True
 
     def _specify(self, port: str, bus: int, s: complex, holds: bool, free: tuple[str, str] | None) -> None:
@@ -387,10 +456,6 @@ class _Build:
             if d.model not in MODELS:
                 count[d.model] = count.get(d.model, 0) + 1
         self.notes += [f"not represented: {n} {model}" for model, n in count.items()]
-
-
-def _phases(peak: float) -> list[float]:
-    return [peak, -peak / 2, -peak / 2]
 
 
 def _decade(x: float) -> int:

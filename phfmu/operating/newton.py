@@ -15,8 +15,11 @@ from phfmu.words import first_few
 Array = NDArray[np.float64]
 
 ITERATIONS = 40
-#: all unknowns rest: largest update relative to the largest value of the same variable
+#: all unknowns rest: largest update relative to the largest value of the same variable, that of the start included: a machine
+#: that delivers no power has a torque of 0
 REST = 1e-13
+#: below this, where the iteration is quadratic, an update that is no smaller than the one before is rounding
+FLOOR = 1e-9
 #: of its terms: what rounding leaves of an equation
 ROUNDING = 1e-14
 #: of the motion: the shortest step in s, how many times it doubles, iterations of one step
@@ -45,7 +48,7 @@ def _newton(
 ) -> tuple[Array, int]:
     """Newton's method from v; `motion`: a matrix D and the values v0 before, for F + D (v - v0) = 0."""
     group = np.unique(system.named, return_inverse=True)[1]
-    start, pinned = v, None
+    start, pinned, begun, before = v, None, np.abs(system.start), np.inf
     for iteration in range(1, most + 1):
         F, J = system.evaluate(v)
         if pinned is None:
@@ -61,10 +64,11 @@ def _newton(
         if not np.isfinite(v).all():
             raise _failed(system, "Newton's method left the numbers", start, F, J)
         size = np.zeros(group.max() + 1)
-        np.maximum.at(size, group, np.abs(v))
-        rests = (np.abs(update) <= REST * np.maximum(size[group], 1e-300)).all()
-        if rests or (motion is None and _at_rounding(system, v)):
+        np.maximum.at(size, group, np.maximum(np.abs(v), begun))
+        moved = float((np.abs(update) / np.maximum(size[group], 1e-300)).max())
+        if moved <= REST or before <= moved <= FLOOR or (motion is None and _at_rounding(system, v)):
             return v, iteration
+        before = moved
     raise _failed(system, f"Newton's method did not converge in {most} iterations", v, F, J)
 
 

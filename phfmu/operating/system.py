@@ -231,7 +231,7 @@ class System:
                 if name in out:
                     raise NoOperatingPoint(f"{name} is freed twice; each specification needs two values of its own")
                 start = self.constant[place]
-                out[name] = self._new(name, [start])
+                out[name] = self._new(name.partition("[")[0], [start])
                 self._P.put(place, out[name], 1.0)
                 self.constant[place] = 0.0
         return out
