@@ -62,6 +62,10 @@ class GridModel:
                 out[n] = self.point.magnitude(junction) / (kv[n].kv * 1e3) * np.exp(1j * self.point.angle(junction))
         return out
 
+    def series(self, branch: str) -> str:
+        """The member with the series R and L of a branch (line1_2, transformer1_2), which has its breaker if it has one."""
+        return self.report.of(branch).members[-1]
+
     def fault_conductance(self, bus: int, R: float) -> float:
         """The conductance in S of a fault of R [pu] at a bus."""
         return self.grid.base / (R * self.grid.bus[bus].kv ** 2)
@@ -111,7 +115,7 @@ class _Build:
         self.angle = angles(grid, self.nodes, self.branches.values())
         #: bus -> the set of buses that series capacitors join it to
         self.joined = self._joined_buses()
-        self.breakers = [self._branch(name) for name in breakers]
+        self.breakers = {self._branch(name) for name in breakers}
         self.faults = [self._known(b) for b in faults]
 
     def model(self) -> GridModel:

@@ -109,16 +109,18 @@ def _turned(system: System, v: Array) -> Array:
         return v
     moved, out = v.copy(), v.copy()
     moved[columns] -= update
+    angles: dict[str, float] = {}
     for junction, (at, _) in system.common.items():
         if not system.turns[junction]:
             continue
         before, after = complex(*v[at : at + 2]), complex(*moved[at : at + 2])
-        angle = ((after - before) / before).imag if before else 0.0
+        angle = angles[junction] = ((after - before) / before).imag if before else 0.0
         turned = before * complex(np.cos(angle), np.sin(angle))
         out[at : at + 2] = turned.real, turned.imag
-        for member in system.members_at(junction):
-            e, place = system.kind_of[member], system.state_at[member]
-            out[place : place + e.size.x] = e.turned(v[place : place + e.size.x], angle)
+    for member, junction in system.first_junctions().items():
+        e, place = system.kind_of[member], system.state_at[member]
+        if junction in angles:
+            out[place : place + e.size.x] = e.turned(v[place : place + e.size.x], angles[junction])
     return out
 
 

@@ -104,7 +104,7 @@ def _told(system: System, v: Array, iterations: int) -> NetworkPoint:
     z = system.P @ v + system.constant
     states, algebraics, inputs, parameters, residuals = {}, {}, {}, {}, {}
     for name, e in system.kind_of.items():
-        model, n, at = system.net.declared[name], e.size, system.place[name]
+        model, n, at = system.declared[name], e.size, system.place[name]
         x, a, u, p, _ = np.split(z[at : at + n.z], np.cumsum([n.x, n.a, n.u, n.p]))
         states |= _by_name(name, model.states, x)
         algebraics |= _by_name(name, model.algebraics, a)
@@ -119,7 +119,7 @@ def _told(system: System, v: Array, iterations: int) -> NetworkPoint:
         residuals |= _by_name(name, model.states, share)
     voltages, currents = {}, {}
     for j in system.net.junctions:
-        port = next(iter(j.ports(system.net.declared).values()))
+        port = next(iter(j.ports(system.declared).values()))
         if three_phase(port) and j.shared == "effort":
             at = system.common[j.name][0]
             voltages[j.name] = BALANCED @ v[at : at + 2]

@@ -56,6 +56,7 @@ class System:
 
     def __init__(self, net: Network, specifications: Sequence[Specification], omega: float):
         self.net, self.specifications, self.omega = net, specifications, omega
+        self.declared = net.declared
         if net.units:
             raise NoOperatingPoint(f"{net.name}: {', '.join(net.units)} are units, whose equations are not known")
         self.start: list[float] = []
@@ -65,10 +66,10 @@ class System:
         self.rows = 0
         self.kinds = self._kinds()
         self._require_symmetric()
-        self.at_port = {end: (j, port) for j in net.junctions for end, port in j.ports(net.declared).items()}
+        self.at_port = {end: (j, port) for j in net.junctions for end, port in j.ports(self.declared).items()}
         self.specified = {self._end(s): s for s in specifications}
         self._place_members()
-        self.turns = {j.name: j.shared == "effort" and _three_phase(j, net) for j in net.junctions}
+        self.turns = {j.name: j.shared == "effort" and _three_phase(j, self.declared) for j in net.junctions}
         self.common = {j.name: self._junction(j) for j in net.junctions}
         self.current: dict[End, tuple[int, bool]] = {}
         self.tie: dict[
@@ -76,6 +77,7 @@ class System:
         ] = {}  #: row that sets the output of a port equal to its own current, or to the common variable
         for end, (junction, port) in self.at_port.items():
             self._join(end, junction, port)
+        self.names_freed: dict[End, Sequence[str]] = {}
         self.freed = self._free()
         self._wires()
         self.first_specified = self._take_rows(sum(s.count for s in specifications))
@@ -94,7 +96,7 @@ class System:
         for wire in self.net.wires:
             read.setdefault(wire.source, []).append(wire.output)
         found: dict[tuple[Any, ...], Kind] = {}
-        for name, model in self.net.declared.items():
+        for name, model in self.declared.items():
             key = (*_shape(model), *read.get(name, ()))
             if key not in found:
                 found[key] = Kind(Equations(model, tuple(read.get(name, ()))), [])
@@ -115,7 +117,7 @@ class System:
 
     def _require_sources(self, name: str, e: Equations) -> None:
         """Sources must turn with the frequency of the point; those that are not three-phase must stand."""
-        p = np.array([s for v in self.net.declared[name].parameters for s in v.start])
+        p = np.array([s for v in self.declared[name].parameters for s in v.start])
         for port, k in e.ports:
             if k not in e.sources:
                 continue
@@ -152,7 +154,7 @@ class System:
             e, n = kind.equations, kind.equations.size
             kind.places, kind.rows = len(constant), self._outputs
             for name in kind.members:
-                model = self.net.declared[name]
+                model = self.declared[name]
                 self.kind_of[name], self.place[name], self.output[name] = e, len(constant), self._outputs
                 self.state_at[name] = len(self.start)
                 for variable in (*model.states, *model.algebraics):
@@ -180,7 +182,7 @@ class System:
 
     def _junction(self, junction: Junction) -> tuple[int, int]:
         """Unknown and row of a junction: its common variable, and the sum of the other."""
-        ports = junction.ports(self.net.declared)
+        ports = junction.ports(self.declared)
         port = next((p for p in ports.values() if p.given == junction.shared), next(iter(ports.values())))
         basis = self._basis(port)
         start = basis.T @ np.array(port.input_starts() if port.given == junction.shared else np.zeros(port.n))
@@ -226,7 +228,8 @@ class System:
         """The freed values: each is an unknown in the place of a constant."""
         out: dict[str, int] = {}
         for end, specification in self.specified.items():
-            for name in self._names_freed(end, specification):
+            names = self.names_freed[end] = self._names_freed(end, specification)
+            for name in names:
                 place = self._value(name)
                 if name in out:
                     raise NoOperatingPoint(f"{name} is freed twice; each specification needs two values of its own")
@@ -242,7 +245,7 @@ class System:
                 what = f"free = {list(specification.free)} for {specification.count} equations"
                 raise NoOperatingPoint(f"{specification.port}: {what}; each equation frees one value")
             return specification.free
-        model = self.net.declared[end.member]
+        model = self.declared[end.member]
         if isinstance(specification, Load):
             names = [v.name for v in model.parameters]
             if set(specification.freed) <= set(names):
@@ -260,9 +263,9 @@ class System:
     def _value(self, name: str) -> int:
         """Place in z of a free input or a parameter."""
         member, _, own = name.partition(".")
-        model = self.net.declared.get(member)
+        model = self.declared.get(member)
         if model is None:
-            raise KeyError(f"no member '{member}' for the free value '{name}'; {meant(member, self.net.declared)}")
+            raise KeyError(f"no member '{member}' for the free value '{name}'; {meant(member, self.declared)}")
         e, n = self.kind_of[member], self.kind_of[member].size
         names = [m for p, _ in e.ports for m in p.input_names()] + [m for v in model.parameters for m in v.names()]
         if own not in names:
@@ -283,13 +286,13 @@ class System:
             self._Q.put(row, seen, wire.factor)
             self.b.append((row, wire.offset))
 
-    def members_at(self, junction: str) -> list[str]:
-        """Members whose first three-phase port is at this junction."""
+    def first_junctions(self) -> dict[str, str]:
+        """Member -> the junction of its first three-phase port."""
         first: dict[str, str] = {}
         for end, (j, port) in self.at_port.items():
             if three_phase(port):
                 first.setdefault(end.member, j.name)
-        return [m for m, j in first.items() if j == junction]
+        return first
 
     def linear(self) -> tuple[list[int], list[int]]:
         """Rows and unknowns of the power flow: members without specifications, voltages, and currents that meet the others.
@@ -356,7 +359,7 @@ class System:
         row = self.first_specified
         for end, specification in self.specified.items():
             at, own = self.common[self.at_port[end][0].name][0], self.current[end][0]
-            free = [self.freed[name] for name in self._names_freed(end, specification)]
+            free = [self.freed[name] for name in self.names_freed[end]]
             F[row : row + specification.count], by_v, by_i, by_free = specification.residual(
                 v[at : at + 2], v[own : own + 2], v[free], self.omega
             )
@@ -395,8 +398,8 @@ class Triplets:
         return sp.csr_matrix((self.values, (self.rows, self.columns)), shape=shape)
 
 
-def _three_phase(junction: Junction, net: Network) -> bool:
-    return three_phase(next(iter(junction.ports(net.declared).values())))
+def _three_phase(junction: Junction, declared: dict[str, PHDAE]) -> bool:
+    return three_phase(next(iter(junction.ports(declared).values())))
 
 
 def _shape(model: PHDAE) -> tuple[Any, ...]:
