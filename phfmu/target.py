@@ -1,4 +1,4 @@
-"""Targets of commands: the name of a component or scene of the library, a function of a file, or a package of SSP.
+"""Targets of commands: the name of a component or scene of the library, a function of a file, a package of SSP, a grid.
 
 A name and a function may be called with arguments: `chain(n=20)`, `coil.py:coil(R=2.0)`.
 """
@@ -15,7 +15,7 @@ from phfmu.arguments import TargetError, parsed
 if TYPE_CHECKING:
     from phfmu.network.scene import Scene
 
-__all__ = ["TargetError", "function_name", "functions", "is_fmu", "is_ssp", "load", "require_known", "scene"]
+__all__ = ["TargetError", "function_name", "functions", "is_fmu", "is_grid", "is_ssp", "load", "require_known", "scene"]
 
 
 def is_fmu(target: str) -> bool:
@@ -24,6 +24,12 @@ def is_fmu(target: str) -> bool:
 
 def is_ssp(target: str) -> bool:
     return target.lower().endswith((".ssp", ".ssd"))
+
+
+def is_grid(target: str) -> bool:
+    from phfmu.importers.grid import FILES
+
+    return target.lower().endswith(FILES)
 
 
 def load(target: str, lenient: bool = False) -> Any:
@@ -39,6 +45,11 @@ def load(target: str, lenient: bool = False) -> Any:
         from phfmu.ssp.loading import load as load_ssp
 
         return load_ssp(target, lenient)
+    if is_grid(target):
+        from phfmu.components.grids import grid_scene
+        from phfmu.importers.grid import read_grid
+
+        return grid_scene(read_grid(target))
     from phfmu.components.library import LIBRARY, build, builder
 
     call = parsed(target, target)
@@ -46,7 +57,8 @@ def load(target: str, lenient: bool = False) -> Any:
         return build(call.name, **call.of(builder(call.name), target))
     if target not in LIBRARY and (not target or Path(target).exists() or Path(target).suffix):
         raise TargetError(
-            f"{target or repr(target)} is no target; that is a name of the library, file.py:function, X.fmu, X.ssp or X.ssd"
+            f"{target or repr(target)} is no target; that is a name of the library, file.py:function, X.fmu, X.ssp, X.ssd, "
+            "X.raw or X.m"
         )
     file = Path(f"{target}.py")
     if target not in LIBRARY and file.is_file():

@@ -2,6 +2,8 @@
 
 from phfmu.components.grids.model import GridModel, grid_model
 from phfmu.components.grids.report import Report, Row
-from phfmu.components.grids.study import grid_scene
+from phfmu.components.grids.study import Fault, Trip, fault_of, grid_scene, trip_of
 
-__all__ = ["GridModel", "Report", "Row", "grid_model", "grid_scene"]
+__all__ = [
+    "Fault", "GridModel", "Report", "Row", "Trip", "fault_of", "grid_model", "grid_scene", "trip_of",
+]  # fmt: skip

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from math import cos, floor, log10, pi, sqrt
+from math import cos, pi, sqrt
 from typing import Literal
 
 import numpy as np
 
-from phfmu import PHDAE, Network, meant
+from phfmu import Network, meant
 from phfmu.components.electrical.breaker import breaker
 from phfmu.components.electrical.capacitors import capacitor_network
 from phfmu.components.electrical.machines.machine_init import ALPHA
@@ -64,7 +64,8 @@ class GridModel:
 
     def series(self, branch: str) -> str:
         """The member with the series R and L of a branch (line1_2, transformer1_2), which has its breaker if it has one."""
-        return self.report.of(branch).members[-1]
+        there = {r.members[0]: r.members[-1] for r in self.report.rows if r.kind in ("line", "transformer")}
+        return there[_named(self.grid.name, branch, there)]
 
     def fault_conductance(self, bus: int, R: float) -> float:
         """The conductance in S of a fault of R [pu] at a bus."""
@@ -106,7 +107,6 @@ class _Build:
         self.notes: list[str] = [f"not represented: {line}" for line in grid.unused]
         self.problems: list[str] = []
         self.specifications: list[Specification] = []
-        self.alike: dict[tuple[object, ...], PHDAE] = {}
         self.nodes = {b.number: _Node() for b in grid.buses if b.kind != ISOLATED}
         self.branches = self._named_branches()
         if lost := apart(grid, self.nodes, self.branches.values()):
@@ -115,7 +115,7 @@ class _Build:
         self.angle = angles(grid, self.nodes, self.branches.values())
         #: bus -> the set of buses that series capacitors join it to
         self.joined = self._joined_buses()
-        self.breakers = {self._branch(name) for name in breakers}
+        self.breakers = {_named(grid.name, name, self.branches) for name in breakers}
         self.faults = [self._known(b) for b in faults]
 
     def model(self) -> GridModel:
@@ -160,13 +160,6 @@ class _Build:
         """Peak of the current that carries the base power."""
         return sqrt(2.0 / 3.0) * self.grid.base * 1e3 / self.bus[bus].kv
 
-    def _part(self, name: str, key: Sequence[object], build: Callable[[], PHDAE], values: Mapping[str, float]) -> None:
-        """A member alike others of its key: their declaration is built once, and each has values of its own."""
-        whole = tuple(key)
-        if whole not in self.alike:
-            self.alike[whole] = build()
-        self.net.add(name, self.alike[whole].with_starts(values))
-
     def _flat(self, bus: int) -> list[float]:
         """The voltages that a bus begins with: the magnitude of the table at the angle of the linear power flow."""
         v, angle = self._peak(bus) * self.bus[bus].vm, self.angle[bus]
@@ -177,17 +170,6 @@ class _Build:
             words = [str(n) for n in self.nodes]
             raise GridError(self.grid.name, [f"no bus {number} in service for a fault; {meant(str(number), words)}"])
         return number
-
-    def _branch(self, name: str) -> str:
-        """The name of a branch, also with its buses the other way round."""
-        plain = name.replace("-", "_")
-        if plain in self.branches:
-            return plain
-        m = re.fullmatch(r"([a-z]+)(\d+)_(\d+)(.*)", plain)
-        turned = "" if m is None else f"{m[1]}{m[3]}_{m[2]}{m[4]}"
-        if turned in self.branches:
-            return turned
-        raise GridError(self.grid.name, [f"no line or transformer '{name}' in service; {meant(plain, self.branches)}"])
 
     def _named_branches(self) -> dict[str, Line | Transformer]:
         rows = [b for b in (*self.grid.lines, *self.grid.transformers) if b.on]
@@ -212,12 +194,10 @@ class _Build:
         Z = self._impedance(b)
         R, L = z.real * Z, z.imag * Z / self.omega
         v, i = self._peak(b), self._current(b)
-        if switched:
-            self.net.add(name, breaker(R, L, i=i, v=v))
-        else:
-            begun = {f"a.v[{k + 1}]": x for k, x in enumerate(ratio * y for y in self._flat(a))}
-            begun |= {f"b.v[{k + 1}]": x for k, x in enumerate(self._flat(b))}
-            self._part(name, ("line", v, _decade(L)), lambda: rl_line(R, L, v=v, rated=i), {"R": R, "L": L} | begun)
+        part = breaker(R, L, i=i, v=v) if switched else rl_line(R, L, v=v, rated=i)
+        begun = {f"a.v[{k + 1}]": ratio * x for k, x in enumerate(self._flat(a))}
+        begun |= {f"b.v[{k + 1}]": x for k, x in enumerate(self._flat(b))}
+        self.net.add(name, part.with_starts(begun))
 
     def _line(self, name: str, line: Line) -> None:
         device = f"line {line.i}-{line.j} '{line.circuit}'"
@@ -252,7 +232,7 @@ class _Build:
         ratio = self.bus[t.j].kv / self.bus[t.i].kv / t.tap
         self._series(leakage, complex(t.r, t.x), t.i, t.j, ratio, name in self.breakers)
         v, i = self._peak(t.i), self._current(t.j)
-        self._part(name, ("transformer", v, i), lambda: transformer(ratio, size=3, v=v, i=i), {"n": ratio})
+        self.net.add(name, transformer(ratio, size=3, v=v, i=i))
         self.net.connect(f"{name}.b", f"{leakage}.a", name=f"inside_{name}")
         self.nodes[t.i].ends.append(f"{name}.a")
         self.nodes[t.j].ends.append(f"{leakage}.b")
@@ -369,16 +349,9 @@ class _Build:
     def _load(
         self, name: str, number: int, R: float | None, L: float | None, C: float | None, flat: Sequence[float]
     ) -> None:
-        """A member of R, L, C from the voltages `flat`, those of L a quarter turn later."""
-        v = self._peak(number)
-        values = {n: x for n, x in (("R", R), ("L", L), ("C", C)) if x is not None}
-        if C is not None:
-            values |= {f"charge[{k + 1}]": C * x for k, x in enumerate(flat)}
-        if L is not None:
-            later = [(flat[k - 1] - flat[k - 2]) / sqrt(3.0) / self.omega for k in range(3)]
-            values |= {f"flux[{k + 1}]": -x for k, x in enumerate(later)}
-        key = ("load", v, R is None, L is None, None if C is None else _decade(C))
-        self._part(name, key, lambda: rlc_load(R, L, C, v=flat, nominal=v), values)
+        """A member of R, L, C that begins with the voltages `flat`, and currents of L a quarter turn behind."""
+        i = [0.0] * 3 if L is None else [(flat[k - 2] - flat[k - 1]) / sqrt(3.0) / self.omega / L for k in range(3)]
+        self.net.add(name, rlc_load(R, L, C, v=flat, i=i, nominal=self._peak(number)))
         self.nodes[number].ends.append(f"{name}.terminal")
 
     # -- machines and plants -----------------------------------------------------------------------------------------
@@ -438,8 +411,7 @@ class _Build:
             return False
         v, i = self._peak(bus), sqrt(2.0 / 3.0) * size * 1e3 / self.bus[bus].kv
         z = (s * 1e6 / (1.5 * v)).conjugate()
-        self._part(name, ("plant", v, _decade(i)), lambda: balanced_current_source(0.0, self.grid.frequency, v=v, i=i),
-                   {"phasor[1]": z.real, "phasor[2]": z.imag})  # fmt: skip
+        self.net.add(name, balanced_current_source(z, self.grid.frequency, v=v, i=i))
         self.nodes[bus].ends.append(f"{name}.terminal")
         self._specify(f"{name}.terminal", bus, s, bool(holds), (f"{name}.phasor[1]", f"{name}.phasor[2]"))
         return True
@@ -462,9 +434,14 @@ class _Build:
         self.notes += [f"not represented: {n} {model}" for model, n in count.items()]
 
 
-def _decade(x: float) -> int:
-    """Values of one decade have typical sizes in common."""
-    return floor(log10(x)) if x > 0 else 0
+def _named(grid: str, text: str, there: Collection[str]) -> str:
+    """The name of a branch in service: line5_7 also of line5-7 and line7-5; GridError for one that is not there."""
+    name = text.replace("-", "_")
+    m = re.fullmatch(r"([a-z]+)(\d+)_(\d+)(.*)", name)
+    for found in (name, "" if m is None else f"{m[1]}{m[3]}_{m[2]}{m[4]}"):
+        if found in there:
+            return found
+    raise GridError(grid, [f"no line or transformer '{text}' in service; {meant(name, there)}"])
 
 
 def _identifier(text: str) -> str:

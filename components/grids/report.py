@@ -38,13 +38,25 @@ class Report:
 
     def lines(self, most: int = 4) -> Iterable[str]:
         """An entry for each kind and account: the devices (at most `most` by name), used, unused, assumed."""
-        groups: dict[tuple[str, str, str, str], list[Row]] = {}
-        for row in self.rows:
-            groups.setdefault((row.kind, row.used, row.unused, row.assumed), []).append(row)
-        for (kind, used, unused, assumed), rows in groups.items():
-            names = [r.members[0] if r.members else r.device for r in rows]
+        for (kind, used, unused, assumed), names in self._groups():
             more = f", .. ({len(names)})" if len(names) > most else ""
             yield f"{kind}: {', '.join(names[:most])}{more}"
             for word, text in (("used", used), ("unused", unused), ("assumed", assumed)):
                 if text:
                     yield f"    {word + ':':9}{text}"
+
+    def beside(self) -> Iterable[str]:
+        """What of each kind was not used, and what was assumed, a line each with the number of devices."""
+        found: dict[tuple[str, str, str], int] = {}
+        for (kind, _, unused, assumed), names in self._groups():
+            for word, text in (("unused", unused), ("assumed", assumed)):
+                if text:
+                    found[kind, word, text] = found.get((kind, word, text), 0) + len(names)
+        return [f"{word}, {n} x {kind}: {text}" for (kind, word, text), n in found.items()]
+
+    def _groups(self) -> Iterable[tuple[tuple[str, str, str, str], list[str]]]:
+        groups: dict[tuple[str, str, str, str], list[str]] = {}
+        for row in self.rows:
+            name = row.members[0] if row.members else row.device
+            groups.setdefault((row.kind, row.used, row.unused, row.assumed), []).append(name)
+        return groups.items()

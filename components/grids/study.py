@@ -26,7 +26,10 @@ class Fault:
 
 @dataclass(frozen=True)
 class Trip:
-    """A line or transformer whose poles open at their next current zeros from `t` [s] on; None: with the end of the first fault."""
+    """A line or transformer whose poles open at their next current zeros from `t` [s] on.
+
+    None: from the end of the first fault on.
+    """
 
     branch: str
     t: float | None = None
@@ -81,7 +84,13 @@ def grid_scene(
     net = model.point.started()
     net.description = f"{grid.name}, {len(grid.buses)} buses, from its operating point"
     return Scene(
-        net.name, net, stop, step, tuple(sorted(events, key=lambda e: e.t)), net.description, notes=(*_account(model),)
+        net.name,
+        net,
+        stop,
+        step,
+        tuple(sorted(events, key=lambda e: e.t)),
+        net.description,
+        notes=tuple(_account(model)),
     )
 
 
@@ -93,12 +102,10 @@ def _events(model: GridModel, fault: Fault) -> tuple[Event, Event]:
 
 
 def _account(model: GridModel) -> list[str]:
-    """What of the file is not in the network, a line each, and how well the operating point holds."""
+    """How well the operating point holds, and what of the file is not used or assumed, a line each."""
     p = model.point
-    lines = [f"operating point: {p.iterations} iterations, residual {p.residual:.1e} of the rates"]
-    for line in model.report.lines():
-        if not line.startswith("    used") and line.startswith("    "):
-            lines.append(f"{head}: {line.strip()}")
-        elif not line.startswith("    "):
-            head = line
-    return [*lines, *model.report.notes]
+    return [
+        f"operating point: {p.iterations} iterations, residual {p.residual:.1e} of the rates",
+        *model.report.beside(),
+        *model.report.notes,
+    ]

@@ -10,7 +10,7 @@ from functools import cached_property
 from math import inf
 from typing import TYPE_CHECKING, Any
 
-from phfmu.cli.options import lenient_of, scheme_of
+from phfmu.cli.options import lenient_of, scene_of, scheme_of
 from phfmu.cli.settings import settings, with_settings
 from phfmu.cli.sound import require_sound_scene
 from phfmu.cli.stepping import (
@@ -370,11 +370,11 @@ def job_of(args: argparse.Namespace) -> Job:
 
     if args.fmi is not None and args.engine != "fmu" and not any(m.endswith("=fmu") for m in args.member):
         raise ValueError(f"--fmi {args.fmi} says what --engine fmu exports; add --engine fmu, or leave out --fmi")
-    lenient = lenient_of(args)
+    lenient_of(args)
     if is_fmu(args.target):
         _require_whole(args)
         return unit(args)
-    s = scene(args.target, lenient)
+    s = scene_of(args)
     s = replace(s, system=with_settings(s.system, settings(args.set)))
     s = replace(s, system=_with_unit_options(args, s.system))
     require_sound_scene(args, s)
@@ -392,7 +392,7 @@ def job_of(args: argparse.Namespace) -> Job:
             "are exact at every instant"
         )
     if not row.apart:
-        return whole(args, s, s.declaration(), why)
+        return whole(args, s, s.declaration(), [*s.notes, *why])
     _require_whole(args)
     if not isinstance(s.system, Network):
         raise ValueError(f"{args.target} is a single component; --coupling {row.name} needs a network of members")

@@ -44,6 +44,37 @@ def lenient_of(args: argparse.Namespace) -> bool:
     return args.lenient
 
 
+def add_grid(parser: argparse.ArgumentParser) -> None:
+    """--dynamics, --fault, --trip, --plants: of grids."""
+    parser.add_argument("--dynamics", metavar="DIR|FILE",
+                        help="dynamic data of a grid: .dyr, .xlsx, or .csv tables (a folder, 'DIR/a_*.csv')")  # fmt: skip
+    parser.add_argument("--fault", action="append", default=[], metavar="BUS:BEGIN:END[:R]",
+                        help="three-phase fault of a grid, bus7:0.1:0.18, R in per unit (0.001); may be repeated")  # fmt: skip
+    parser.add_argument("--trip", action="append", default=[], metavar="BRANCH[:TIME]",
+                        help="line or transformer of a grid whose poles open at their next current zeros, line5-7:0.18 (default: "
+                        "when the first fault ends); may be repeated")  # fmt: skip
+    parser.add_argument("--plants", choices=("refuse", "currents"),
+                        help="generators of a grid without dynamic data: refused (default), or constant currents")  # fmt: skip
+
+
+def scene_of(args: argparse.Namespace) -> Scene:
+    """The target as a scene, a grid with its dynamic data, faults and trips; ValueError for these options with other targets."""
+    from phfmu.target import is_grid, scene
+
+    given = [f"--{name}" for name in ("dynamics", "fault", "trip", "plants") if getattr(args, name)]
+    if not is_grid(args.target):
+        if given:
+            raise ValueError(f"{args.target}: {given[0]} is for grids (.raw, .m)")
+        return scene(args.target, lenient_of(args))
+    from phfmu.components.grids import fault_of, grid_scene, trip_of
+    from phfmu.importers.grid import read_grid
+
+    return grid_scene(
+        read_grid(args.target, args.dynamics), faults=[fault_of(f) for f in args.fault],
+        trips=[trip_of(t) for t in args.trip], plants=args.plants or "refuse",
+    )  # fmt: skip
+
+
 def add_steps(parser: argparse.ArgumentParser) -> None:
     """--rtol, --atol, --min-step, --max-step, --restart, --dense."""
     parser.add_argument("--rtol", type=float, help="adapt the step: allowed error of a step relative to each state")

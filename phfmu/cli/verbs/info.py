@@ -95,28 +95,29 @@ def _parameters(members: Sequence[PHDAE]) -> list[str]:
 
 def add_parser(verbs: Any) -> None:
     from phfmu.cli.codes import TARGET
-    from phfmu.cli.options import add_lenient
+    from phfmu.cli.options import add_grid, add_lenient
 
     parser = verbs.add_parser("info", help="states, ports, parameters with units")
     parser.add_argument("target", help=TARGET)
     parser.add_argument("--all", action="store_true",
                         help=f"every member, junction and variable of a network of more than {FEW} members")  # fmt: skip
     add_lenient(parser)
+    add_grid(parser)
     parser.set_defaults(call=call)
 
 
 def call(args: argparse.Namespace) -> int:
-    from phfmu.cli.options import lenient_of
+    from phfmu.cli.options import lenient_of, scene_of
     from phfmu.network.network import Network
-    from phfmu.target import is_fmu, scene
+    from phfmu.target import is_fmu
 
-    lenient = lenient_of(args)
+    lenient_of(args)
     if is_fmu(args.target):
         from phfmu.fmu.importer.inspect import fmu_info
 
         print(fmu_info(args.target), end="")
         return 0
-    s = scene(args.target, lenient)
+    s = scene_of(args)
     told = _arguments(args.target)
     if isinstance(s.system, Network) and len(s.system.members) > FEW and not args.all:
         _print_run(s, s.name, s.description or s.system.description, told)

@@ -56,6 +56,7 @@ def add_parser(verbs: Any) -> None:
     add_settings(parser)
     add_no_check(parser)
     options.add_lenient(parser)
+    options.add_grid(parser)
     _add_units(parser)
     parser.add_argument("--input", metavar="FILE",
                         help="input and parameter values over time (.csv or .parquet, first column time)")  # fmt: skip
