@@ -91,6 +91,15 @@ LIBRARY: dict[str, tuple[str, str, str]] = {
     "two_machine": ("scene", _S + "two_machine", "two machines, line, load, three-phase fault"),
 }
 
+#: Scenes of large grids, which what is done with all of the library leaves out.
+GRIDS: dict[str, tuple[str, str, str]] = {
+    "ieee39": ("scene", _S + "grids", "39 buses, ten machines: three-phase fault, lines that trip"),
+    "new_england": ("scene", _S + "grids", "39 buses of New England, two-axis machines: three-phase fault"),
+    "wecc240": ("scene", _S + "grids", "243 buses, 111 machines, 91 plants: three-phase fault"),
+    "grid": ("scene", _S + "grids", "generated grid of any size: three-phase fault"),
+}
+TABLE = LIBRARY | GRIDS
+
 #: Arguments of components without defaults, or other than these, so that each can be inspected and stepped by name.
 EXAMPLES: dict[str, dict[str, Any]] = {
     "rl_line": {"R": 0.02, "L": 8e-4},
@@ -121,10 +130,10 @@ SWITCHED = (
 
 def builder(name: str) -> Callable[..., Any]:
     """The function that builds the component or scene `name`; KeyError lists close names."""
-    if name not in LIBRARY:
-        there = f"there are: {', '.join(LIBRARY)}"
-        raise KeyError(f"no component or scene '{name}' in the library; {meant(name, LIBRARY, there)}")
-    return getattr(import_module(LIBRARY[name][1]), name)
+    if name not in TABLE:
+        there = f"there are: {', '.join(TABLE)}"
+        raise KeyError(f"no component or scene '{name}' in the library; {meant(name, TABLE, there)}")
+    return getattr(import_module(TABLE[name][1]), name)
 
 
 def build(name: str, **values: Any) -> Any:

@@ -50,18 +50,18 @@ def load(target: str, lenient: bool = False) -> Any:
         from phfmu.importers.grid import read_grid
 
         return grid_scene(read_grid(target))
-    from phfmu.components.library import LIBRARY, build, builder
+    from phfmu.components.library import TABLE, build, builder
 
     call = parsed(target, target)
-    if call.name in LIBRARY:
+    if call.name in TABLE:
         return build(call.name, **call.of(builder(call.name), target))
-    if target not in LIBRARY and (not target or Path(target).exists() or Path(target).suffix):
+    if target not in TABLE and (not target or Path(target).exists() or Path(target).suffix):
         raise TargetError(
             f"{target or repr(target)} is no target; that is a name of the library, file.py:function, X.fmu, X.ssp, X.ssd, "
             "X.raw or X.m"
         )
     file = Path(f"{target}.py")
-    if target not in LIBRARY and file.is_file():
+    if target not in TABLE and file.is_file():
         raise TargetError(
             f"no component or scene '{target}' in the library; for the file beside you say {_choices(file)}"
         )
@@ -70,18 +70,18 @@ def load(target: str, lenient: bool = False) -> Any:
 
 def require_known(target: str, words: Iterable[str]) -> None:
     """TargetError, with what was meant, for a word that is neither of the library nor one of a verb's own `words`."""
-    from phfmu.components.library import LIBRARY
+    from phfmu.components.library import TABLE
     from phfmu.words import meant
 
     own = list(words)
     if (
         not target.replace("-", "_").isidentifier()
-        or target in LIBRARY
+        or target in TABLE
         or target in own
         or Path(f"{target}.py").exists()
     ):
         return
-    close = meant(target, [*own, *LIBRARY], f"beside what phfmu list tells there are: {', '.join(own)}")
+    close = meant(target, [*own, *TABLE], f"beside what phfmu list tells there are: {', '.join(own)}")
     raise TargetError(f"no component or scene '{target}' in the library; {close}")
 
 

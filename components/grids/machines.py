@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from math import pi
+from typing import Any
 
 from phfmu.components.electrical.machines.machine_data import MachineData, MachineDataError
-from phfmu.components.electrical.machines.machine_per_unit import NEEDED, from_per_unit
+from phfmu.components.electrical.machines.machine_per_unit import from_per_unit
 from phfmu.importers.grid import Dynamics, Generator, GridError
 
 #: models of machines, and what of their data the network has no place for, where it is not 0
-MODELS = ("GENROU", "GENSAL", "GENCLS")
+MODELS = ("GENROU", "GENSAL", "GENCLS", "TWOAXIS")
 DROPPED: Mapping[str, str] = {
     "D": "damping by the speed's deviation",
     "S1": "saturation at 1.0",
@@ -19,20 +21,40 @@ DROPPED: Mapping[str, str] = {
 
 def machine_of(name: str, unit: Generator, data: Dynamics, kv: float, frequency: float) -> MachineData:
     """The machine set of a unit; GridError names bus, unit and what contradicts itself."""
-    values = {
-        k: v for k, v in data.values.items() if k in (*NEEDED[data.model], "H", "xl", "ra", "x0") and k not in DROPPED
-    }
-    values.setdefault("ra", unit.r)
+    where = f"bus {unit.bus}, machine '{unit.id}' ({data.where})"
+    given = {k: v for k, v in data.values.items() if k not in DROPPED}
+    given.setdefault("ra", unit.r)
     if data.model == "GENCLS":
-        values["xd1"] = unit.x
-    H = values.pop("H", None)
+        given["xd1"] = unit.x
+    model = data.model
+    if model == "TWOAXIS":
+        model, given = None, _two_axes(where, given, 2.0 * pi * frequency)
     try:
-        return from_per_unit(
-            name, data.model, Sn=unit.base * 1e6, Vn_rms_ll=kv * 1e3, fn=frequency, H=H, **values
-        )  # fmt: skip
+        return from_per_unit(name, model, Sn=unit.base * 1e6, Vn_rms_ll=kv * 1e3, fn=frequency, **given)
     except MachineDataError as error:
-        where = f"bus {unit.bus}, machine '{unit.id}' ({data.where})"
         raise GridError(where, str(error).splitlines()) from None
+
+
+def _two_axes(where: str, v: Mapping[str, float], omega: float) -> dict[str, Any]:
+    """The circuit of a machine with one winding on each axis, model 1.1; 1.0 where Tq0' = 0 says that there is none on q."""
+    if wrong := [
+        f"{b} = {v[b]:g} is not above {a} = {v[a]:g}" for a, b in (("xl", "xd1"), ("xd1", "xd")) if v[b] <= v[a]
+    ]:
+        raise GridError(where, wrong)
+    rotor = {}
+    for axis in "dq":
+        x, lower, T, xl = (v[k] for k in (f"x{axis}", f"x{axis}1", f"T{axis}10", "xl"))
+        if not T:
+            rotor[axis] = []
+            continue
+        if not xl < lower < x:
+            raise GridError(where, [f"x{axis}1 = {lower:g} must be between xl = {xl:g} and x{axis} = {x:g}"])
+        leakage = (x - xl) * (lower - xl) / (x - lower)
+        rotor[axis] = [((x - xl + leakage) / (omega * T), leakage)]
+    return {
+        "H": v["H"], "xl": v["xl"], "ra": v["ra"], "xad": v["xd"] - v["xl"], "xaq": v["xq"] - v["xl"],
+        "rotor_d": rotor["d"], "rotor_q": rotor["q"],
+    }  # fmt: skip
 
 
 def dropped(data: Dynamics) -> str:

@@ -44,11 +44,11 @@ def targets(prefix: str, **_: Any) -> list[str]:
 
     from argcomplete.completers import FilesCompleter
 
-    from phfmu.components.library import LIBRARY
+    from phfmu.components.library import TABLE
     from phfmu.target import functions
 
     file, colon, _function = prefix.rpartition(":")
     if colon:
         return [f"{file}:{name}" for name in functions(Path(file))] if Path(file).is_file() else []
     files = FilesCompleter(("py", "fmu", "ssp", "ssd", "parquet", "csv"))(prefix)
-    return [name for name in LIBRARY if name.startswith(prefix)] + list(files)
+    return [name for name in TABLE if name.startswith(prefix)] + list(files)

@@ -165,15 +165,15 @@ def _arguments(target: str) -> list[str]:
     from functools import partial
 
     from phfmu.arguments import arguments, parsed
-    from phfmu.components.library import EXAMPLES, LIBRARY, build, builder
+    from phfmu.components.library import EXAMPLES, TABLE, build, builder
     from phfmu.target import function_name, is_ssp
 
     name = function_name(target)
-    if is_ssp(target) or name not in LIBRARY or ".py" in target:
+    if is_ssp(target) or name not in TABLE or ".py" in target:
         return []
     given = EXAMPLES.get(name, {}) | parsed(target, target).of(builder(name), target)
     found = arguments(builder(name), partial(build, name), given)
-    family = LIBRARY[name][1].rpartition(".")[0]
+    family = TABLE[name][1].rpartition(".")[0]
     rows = [f"  {a.name:<28} {a.unit:<12} {a.value:<40} {a.about}".rstrip() for a in found]
     shell = f"phfmu run '{name}({found[0].name}=..)'; " if found else "none; "
     return [f"arguments ({shell}in Python: from {family} import {name}):", *rows]

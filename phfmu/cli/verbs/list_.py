@@ -12,13 +12,13 @@ def add_parser(verbs: Any) -> None:
 
 
 def call(args: argparse.Namespace) -> int:
-    from phfmu.components.library import LIBRARY
+    from phfmu.components.library import TABLE
 
     del args
-    width = max(map(len, LIBRARY))
+    width = max(map(len, TABLE))
     for kind in ("component", "scene"):
         print(f"{kind}s")
-        for name, (what, _, line) in LIBRARY.items():
+        for name, (what, _, line) in TABLE.items():
             if what == kind:
                 print(f"  {name:<{width}}  {line}")
     return 0

@@ -18,6 +18,7 @@ PARAMETERS: dict[str, tuple[str, ...]] = {
     "GENROU": ("Td10", "Td20", "Tq10", "Tq20", "H", "D", "xd", "xq", "xd1", "xq1", "xd2", "xl", "S1", "S12"),
     "GENSAL": ("Td10", "Td20", "Tq20", "H", "D", "xd", "xq", "xd1", "xd2", "xl", "S1", "S12"),
     "GENCLS": ("H", "D"),
+    "TWOAXIS": ("Td10", "Tq10", "H", "xd", "xq", "xd1", "xq1", "xl"),
     "SEXS": ("TA_TB", "TB", "K", "TE", "Emin", "Emax"),
     "TGOV1": ("R", "T1", "Vmax", "Vmin", "T2", "T3", "Dt"),
     "HYGOV": ("R", "r", "Tr", "Tf", "Tg", "VELM", "Gmax", "Gmin", "TW", "At", "Dturb", "qNL"),

@@ -12,6 +12,9 @@ import numpy as np
 
 from phfmu.importers.grid.table import Bus, Demand, Generator, Grid, GridError, Line, Shunt, Transformer
 
+#: a matrix of a case: its rows
+Rows = list[list[float]]
+
 
 def read_matpower(path: str | PathLike[str], *, frequency: float = 60.0) -> Grid:
     """A case of MATPOWER (.m), read by matpowercaseframes; `frequency` [Hz], which such files do not have."""
@@ -37,7 +40,7 @@ def from_pandapower(net: Any, *, trafo_model: str = "pi") -> Grid:
     `trafo_model`: the equivalent circuit of transformers, as in pandapower, of which magnetising branches at both ends (pi).
     """
     try:
-        from pandapower.converter import to_ppc
+        from pandapower.converter.pypower.to_ppc import to_ppc
     except ImportError:
         raise ImportError("networks of pandapower need pandapower: pip install 'phfmu[grid]'") from None
     case = to_ppc(
@@ -63,6 +66,12 @@ def _grid(
     unused: Sequence[str],
 ) -> Grid:
     """MATPOWER's matrices as a table; a branch with a ratio, a shift or unequal rated voltages is a transformer."""
+    return _table(name, base, frequency, bus.tolist(), branch.tolist(), gen.tolist(), unused)
+
+
+def _table(
+    name: str, base: float, frequency: float, bus: Rows, branch: Rows, gen: Rows, unused: Sequence[str]
+) -> Grid:
     kv = {int(r[0]): r[9] or 1.0 for r in bus}
     missing = sorted({int(b) for r in branch for b in r[:2]} - set(kv))
     if missing:
@@ -103,6 +112,6 @@ def _grid(
     )  # fmt: skip
 
 
-def _bus(row: np.ndarray, kv: dict[int, float], held: dict[int, float]) -> Bus:
+def _bus(row: list[float], kv: dict[int, float], held: dict[int, float]) -> Bus:
     number = int(row[0])
     return Bus(number, f"bus {number}", kv[number], int(row[1]), held.get(number, row[7]), radians(row[8]))

@@ -1,0 +1,58 @@
+"""Public grids in their operating points, with a three-phase fault, and generated ones of any size."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from phfmu import Scene
+from phfmu.components.grids import Fault, Trip, grid_scene
+from phfmu.components.grids.lattice import lattice
+from phfmu.importers.grid import Grid, read_grid
+
+DATA = Path(__file__).parent.parent / "grids" / "data"
+
+
+def public_grid(name: str) -> Grid:
+    """The grid `ieee39`, `wecc240` or `new_england` of the package, with its dynamic data."""
+    return read_grid(DATA / name / f"{name}.raw", DATA / name)
+
+
+def ieee39(*, bus: int = 16, t_fault: float = 0.1, t_clear: float = 0.2, trip: str = "", stop: float = 1.0) -> Scene:
+    """39 buses and ten machines with dampers; a fault of 0.001 pu at `bus` from t_fault to t_clear [s].
+
+    trip: a line (`line16_17`) whose poles open from t_clear on at their current zeros;  stop [s]: end of the run
+    Source: ParaEMT_public of NREL, BSD 3-clause; phfmu/components/grids/data.
+    """
+    return _faulted("ieee39", bus, t_fault, t_clear, trip, stop)
+
+
+def new_england(
+    *, bus: int = 16, t_fault: float = 0.1, t_clear: float = 0.2, trip: str = "", stop: float = 1.0
+) -> Scene:
+    """The 39 buses of New England as the books have them, ten machines of two axes; the arguments are those of `ieee39`.
+
+    Source: case39 of MATPOWER; machines of Pai, Energy Function Analysis for Power System Stability, 1989.
+    """
+    return _faulted("new_england", bus, t_fault, t_clear, trip, stop)
+
+
+def wecc240(
+    *, bus: int = 3803, t_fault: float = 0.1, t_clear: float = 0.15, trip: str = "", stop: float = 0.5
+) -> Scene:
+    """243 buses of the reduced WECC system, 111 machines, 91 plants as constant currents; the arguments are those of `ieee39`.
+
+    Source: ParaEMT_public of NREL, BSD 3-clause; phfmu/components/grids/data.
+    """
+    return _faulted("wecc240", bus, t_fault, t_clear, trip, stop)
+
+
+def grid(n: int = 100, *, seed: int = 0, stop: float = 0.5) -> Scene:
+    """A generated grid of n buses, see `phfmu.components.grids.lattice`; a fault at bus 1 from 0.1 to 0.15 s."""
+    return grid_scene(lattice(n, seed), faults=[Fault(1, 0.1, 0.15)], stop=stop)
+
+
+def _faulted(name: str, bus: int, t_fault: float, t_clear: float, trip: str, stop: float) -> Scene:
+    return grid_scene(
+        public_grid(name), faults=[Fault(bus, t_fault, t_clear)], trips=[Trip(trip)] if trip else [], plants="currents",
+        stop=stop,
+    )  # fmt: skip
