@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING
@@ -73,7 +73,7 @@ class Outputs:
             self.sink = AuditWriter(self._audit_path, about, self._table_path)
 
     def columns(
-        self, options: Options, events: Sequence[Event], names: Sequence[str], units: Sequence[str], kinds: Sequence[str],
+        self, options: Options, events: Iterable[Event], names: Sequence[str], units: Sequence[str], kinds: Sequence[str],
         labels: Sequence[str],
     ) -> None:  # fmt: skip
         """Open table and picture of the rows of a run with these options and events, and say what is coming if that is much."""

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
+from functools import partial
+from heapq import merge
+from itertools import takewhile
+from math import inf
 from os import PathLike, fspath
 from typing import Any
 
@@ -17,8 +20,12 @@ from phfmu.runs.options import Options
 
 
 @contextmanager
-def following(stepper: Stepper, options: Options, inputs: Any, interpolate: str) -> Iterator[tuple[Options, list[str]]]:
-    """Options with the events that the inputs make, and lines about them; the stepper follows the rest until the end.
+def following(
+    stepper: Stepper, options: Options, inputs: Any, interpolate: str
+) -> Iterator[tuple[Callable[..., Iterator[Event]], list[str]]]:
+    """The events of a run in order, all or from a time on, with those that the inputs make, and lines about these.
+
+    The stepper follows the rest until the end.
 
     Errors: KeyError, ValueError for inputs and options that do not go together.
     """
@@ -26,7 +33,7 @@ def following(stepper: Stepper, options: Options, inputs: Any, interpolate: str)
     if inputs is None:
         if interpolate != "held":
             raise ValueError(f"--interpolate {interpolate} is for --input; give it too")
-        yield options, []
+        yield partial(_in_order, options, lambda _: ()), []
         return
     rows, found = _rows(inputs, stepper), None
     _require_one_source(rows, options)
@@ -40,17 +47,16 @@ def following(stepper: Stepper, options: Options, inputs: Any, interpolate: str)
         _require_fit(stepper, options)
         starts = {n: v for n, v in stepper.inputs().items() if n in stepper.free_inputs}
         found = rows.interpolant(interpolate, starts, options.t0)
-    events = _events(rows, found, options.t0)
+    events = partial(_in_order, options, partial(_events, rows, found, options.t0))
     notes = rows.notes(options.t0, options.stop) + rows.between(found, interpolate, options.step)
-    options = replace(options, events=[*options.events, *(e for e in events if e.t <= options.stop)])
     if found is None or not isinstance(stepper, Follows):
-        yield options, notes
+        yield events, notes
         return
     if isinstance(stepper, Monolithic) and stepper.lands:
         notes.append(f"{rows.source}: with state events inputs have their mean over each step: order 2")
     stepper.followed = found
     try:
-        yield options, notes
+        yield events, notes
     finally:
         stepper.followed = None
 
@@ -63,16 +69,27 @@ def _rows(inputs: Any, stepper: Stepper) -> InputRows:
     return input_rows(inputs, stepper.settable())
 
 
-def _events(rows: InputRows, found: Interpolant | None, t0: float) -> list[Event]:
-    """Rows of what is held, and where interpolated inputs start and jump."""
+def _in_order(options: Options, given: Callable[[float], Iterable[Event]], since: float = -inf) -> Iterator[Event]:
+    """The events of the options, and those that inputs give until the end, from a time on; at one time those of the options are
+    first."""
+    events = sorted((e for e in options.events if e.t >= since), key=_time)
+    return merge(events, takewhile(lambda e: e.t <= options.stop, given(since)), key=_time)
+
+
+def _time(e: Event) -> float:
+    return e.t
+
+
+def _events(rows: InputRows, found: Interpolant | None, t0: float, since: float) -> Iterator[Event]:
+    """Rows of what is held, and where interpolated inputs start and jump, from a time on."""
     if found is None:
-        return rows.events()
-    events = rows.events([n for n in rows.names if n not in found.names])
+        return rows.events(since=since)
+    held = rows.events([n for n in rows.names if n not in found.names], since)
     starts = found(t0, after=True).tolist()
-    events += [Event(t0, n, v) for n, v in zip(found.names, starts, strict=True)]
+    jumps = [Event(t0, n, v) for n, v in zip(found.names, starts, strict=True)]
     for t, values in zip(found.jumps.tolist(), found.after.tolist(), strict=True):
-        events += [Event(t, n, v) for n, v in zip(found.names, values, strict=True) if t > t0]
-    return events
+        jumps += [Event(t, n, v) for n, v in zip(found.names, values, strict=True) if t > t0]
+    return merge(held, (e for e in jumps if e.t >= since), key=_time)
 
 
 def _require_one_source(rows: InputRows, options: Options) -> None:

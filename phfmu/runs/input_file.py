@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 Array = NDArray[Any]
 
 
-#: rows that are read at a time
-BLOCK = 16384
+#: rows that are read at a time, and bytes of a column of Parquet
+BLOCK, PIECE = 16384, 1 << 16
 
 #: numbers (rows x columns), and where each of their rows stands in the file
 Block = tuple[Array, Array]
@@ -42,14 +42,15 @@ def read_inputs(path: str, known: list[str]) -> InputRows:
     if not header or header[0] != "time":
         raise ValueError(f"{path}: the first column must be 'time', then one per input, separated by commas")
     names = _names(path, header[1:], known)
-    numbers, places = array("d"), array("q")
+    numbers, last = array("d"), np.zeros(0)
     for values, where in blocks:
+        times, places = np.append(last, values[:, 0]), np.append(where[: len(last)], where)
+        require_times(times, path, lambda i, places=places: f"{'row' if parquet else 'line'} {places[i]}")
         numbers.frombytes(values.astype(float).tobytes())
-        places.frombytes(where.astype(np.int64).tobytes())
-    if not places:
+        last = times[-1:]
+    if not numbers:
         raise ValueError(f"{path} has no rows below its header; give the values at one time at least")
     table = np.frombuffer(numbers).reshape(-1, len(header))
-    require_times(table[:, 0], path, lambda i: f"{'row' if parquet else 'line'} {places[i]}")
     return InputRows(names, table[:, 0], table[:, 1:], path)
 
 
@@ -80,7 +81,8 @@ def _parquet(path: str) -> tuple[list[str], Iterator[Block]]:
     import pyarrow.parquet as pq
 
     try:
-        file = pq.ParquetFile(path)
+        # columns are read in pieces, not by row groups, which may be the whole file
+        file = pq.ParquetFile(path, buffer_size=PIECE, pre_buffer=False)
     except (pa.ArrowException, OSError) as error:
         raise ValueError(f"{path} is not a Parquet file: {error}") from error
     return list(file.schema_arrow.names), _parquet_blocks(path, file)
@@ -94,7 +96,7 @@ def _parquet_blocks(path: str, file: pq.ParquetFile) -> Iterator[Block]:
             raise ValueError(f"{path}, column {field.name}: {field.type} is not a number")
     first = 1
     try:
-        for batch in file.iter_batches(BLOCK):
+        for batch in file.iter_batches(BLOCK, use_threads=False):
             columns = [c.cast(pa.float64()).to_numpy(zero_copy_only=False) for c in batch.columns]
             values = np.column_stack(columns)
             for i, j in np.argwhere(~np.isfinite(values))[:1]:

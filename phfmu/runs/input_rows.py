@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
+from math import inf
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,8 @@ from phfmu.words import counted, meant
 
 Array = NDArray[Any]
 
+#: rows that become events at a time
+BLOCK = 16384
 #: fewer rows are steps of an input, not data sampled over the run
 SAMPLED = 10
 
@@ -32,15 +35,28 @@ class InputRows:
     values: Array
     source: str = "inputs"
 
-    def events(self, names: Collection[str] | None = None) -> list[Event]:
-        """One event per changed value of held columns (None: all); before the first row the start values hold."""
-        last = np.append(self.time[1:] > self.time[:-1], True)  # of rows at one time
+    def events(self, names: Collection[str] | None = None, since: float = -inf) -> Iterator[Event]:
+        """One event per changed value of held columns (None: all) in order, from a time on; before the first row the start
+        values hold.
+
+        They are made as they are asked for, so that the memory holds the rows alone.
+        """
         chosen = [j for j, n in enumerate(self.names) if names is None or n in names]
-        time, values = self.time[last], self.values[last][:, chosen]
-        changed = np.ones(values.shape, bool)
-        changed[1:] = values[1:] != values[:-1]
-        times, rows = time.tolist(), values.tolist()
-        return [Event(times[i], self.names[chosen[j]], rows[i][j]) for i, j in np.argwhere(changed).tolist()]
+        own, first = [self.names[j] for j in chosen], int(np.searchsorted(self.time, since))
+        before = self.values[first - 1, chosen] if first else None
+        for begin in range(first, len(self.time), BLOCK):
+            time = self.time[begin : begin + BLOCK + 1]
+            last = np.append(time[1:] > time[:-1], True)[:BLOCK]  # of rows at one time
+            times, values = time[: len(last)][last], self.values[begin : begin + BLOCK][last][:, chosen]
+            if not len(values):
+                continue
+            changed = np.ones(values.shape, bool)
+            changed[1:] = values[1:] != values[:-1]
+            if before is not None:
+                changed[0] = values[0] != before
+            before = values[-1]
+            for i, j in np.argwhere(changed).tolist():
+                yield Event(float(times[i]), own[j], float(values[i, j]))
 
     def interpolant(self, kind: str, starts: dict[str, float], t0: float) -> Interpolant | None:
         """The columns of free inputs as functions of time; `starts`: values of the free inputs, which hold before the rows."""
@@ -56,7 +72,7 @@ class InputRows:
     def notes(self, t0: float, stop: float) -> list[str]:
         """Lines about rows before the start and after the end, and data that begin late or end early."""
         time, path = self.time, self.source
-        early, late = int((time < t0).sum()), int((time > stop).sum())
+        early, late = int(np.searchsorted(time, t0)), len(time) - int(np.searchsorted(time, stop, "right"))
         lines = []
         if early:
             lines.append(
@@ -65,13 +81,19 @@ class InputRows:
             )
         if time[0] > t0:
             lines.append(f"{path}: begins at t = {time[0]:g} s, the start values hold before")
-        gap = 2 * float(np.median(np.diff(time))) if len(time) > SAMPLED else stop
+        gap = 2 * self._distance if len(time) > SAMPLED else stop
         if time[-1] < stop - gap:
             lines.append(f"{path}: ends at t = {time[-1]:g} s, its last row holds until the end at {stop:g} s")
         if late:
             first = float(time[len(time) - late])
             lines.append(f"{path}: {counted(late, 'row')} after the end at {stop:g} s, from t = {first:g} s, not used")
         return lines
+
+    @property
+    def _distance(self) -> float:
+        """The median of the times between rows, of many between some."""
+        at = np.arange(0, len(self.time) - 1, 1 + len(self.time) // BLOCK)
+        return float(np.median(self.time[at + 1] - self.time[at]))
 
     def between(self, found: Interpolant | None, kind: str, step: float) -> list[str]:
         """Lines about what the interpolation does not reach: columns that are held, rows closer than steps."""
@@ -84,7 +106,7 @@ class InputRows:
                 f"{self.source}: {', '.join(held)}: held between rows, as parameters and signals have one value in a step"
             )
         if found is not None and len(self.time) > SAMPLED:
-            distance = float(np.median(np.diff(self.time)))
+            distance = self._distance
             if 0 < distance < 0.5 * step:
                 lines.append(
                     f"{self.source}: {step / distance:.3g} rows in a step of {step:g} s; what they do between the nodes of a "

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from os import PathLike
 from typing import TYPE_CHECKING, Any
@@ -42,12 +42,12 @@ def run(stepper: Stepper, options: Options, *, inputs: Any = None, interpolate: 
     fit; ToleranceMissed
     """
     _require_stepper(stepper)
-    with following(stepper, options, inputs, interpolate) as (options, notes):
-        return _run(stepper, options, notes)
+    with following(stepper, options, inputs, interpolate) as (events, notes):
+        return _run(stepper, options, events, notes)
 
 
-def _run(stepper: Stepper, options: Options, notes: Sequence[str]) -> Result:
-    """With the inputs in place; `notes`: what there is to say about them."""
+def _run(stepper: Stepper, options: Options, events: Callable[..., Iterator[Event]], notes: Sequence[str]) -> Result:
+    """With the inputs in place; `events`: in order, all or from a time on; `notes`: what there is to say about the inputs."""
     from phfmu.audit import Ledger
     from phfmu.audit.unbooked import Unbooked
 
@@ -62,7 +62,7 @@ def _run(stepper: Stepper, options: Options, notes: Sequence[str]) -> Result:
     t0, stop, close = options.t0, options.stop, 1e-9 * options.step
     try:
         with dense_rows(stepper, options.dense):
-            for stretch in stretches(segments(t0, stop, options.events, close), options.step, march.takes_inputs):
+            for stretch in stretches(lambda: segments(t0, stop, events(), close), options.step, march.takes_inputs):
                 if stretch.start == t0:
                     projection = _begin(stepper, book, options, stretch.events, stretch.end)
                     told.begin(stretch)
@@ -90,7 +90,7 @@ def _run(stepper: Stepper, options: Options, notes: Sequence[str]) -> Result:
     rest_notes = _rest_notes(before, stepper.rest_changes())
     said = (
         *notes,
-        *_unreached(options.events, stop - close, stop),
+        *_unreached(events(stop - close), stop),
         *book.notes,
         *book.told(),
         *march.notes(),
@@ -159,14 +159,14 @@ def dense_rows(stepper: Stepper, rows: int | None) -> Iterator[None]:
 
 
 def segments(
-    t0: float, stop: float, events: Sequence[Event], close: float = 0.0
+    t0: float, stop: float, events: Iterable[Event], close: float = 0.0
 ) -> Iterator[tuple[float, float, list[Event]]]:
-    """(start, end, events at start) in order; the grid of steps starts anew at each event.
+    """(start, end, events at start) of events in order; the grid of steps starts anew at each.
 
     Events before t0 have happened: they count at t0, in order of time.  Times within `close` of each other are one.
     """
     start, here = t0, []
-    for e in sorted(events, key=lambda e: e.t):
+    for e in events:
         if e.t >= stop - close:
             break
         if e.t > start + close:
@@ -195,12 +195,12 @@ def _check_events(stepper: Stepper, options: Options) -> None:
                 raise
 
 
-def _unreached(events: Sequence[Event], last: float, stop: float) -> list[str]:
+def _unreached(late: Iterator[Event], stop: float) -> list[str]:
     """A line about the events that come too late."""
-    late = sorted((e for e in events if e.t >= last), key=lambda e: e.t)
-    if not late:
+    if (e := next(late, None)) is None:
         return []
-    e, more = late[0], f" and {len(late) - 1} more" if len(late) > 1 else ""
+    others = sum(1 for _ in late)
+    more = f" and {others} more" if others else ""
     return [f"not reached before the end at {stop:g} s: {e.name} = {e.value:g} at t = {e.t:g} s{more}"]
 
 

@@ -5,7 +5,7 @@ Rows are handed over in blocks: what is on its way to the audit and the result f
 
 from __future__ import annotations
 
-from bisect import bisect_left, bisect_right
+from bisect import bisect_right
 from collections.abc import Iterator
 from functools import cached_property
 from time import perf_counter
@@ -109,9 +109,7 @@ class FixedSteps:
             while first < n:
                 damped = left > 0 and self._damped is not None
                 count = 1 if damped or self._alone else self._ringing.block(min(self._pace.steps, n - first))
-                inputs = [
-                    (k - first, e) for k, e in stretch.inputs[_from(stretch, first) : _from(stretch, first + count)]
-                ]
+                inputs = stretch.inputs.within(first, count)
                 yield from self._booked(t, h, first, count, damped, inputs)
                 first, left = first + count, self.restart if self._happened else max(left - 1, 0)
                 self._pace.handed_over(count)
@@ -247,11 +245,6 @@ def _sized(stepper: Stepper, options: Options) -> Adaptive | Ecco:
 
 def _number(numbered: tuple[int, Event]) -> int:
     return numbered[0]
-
-
-def _from(stretch: Stretch, step: int) -> int:
-    """The first of the stretch's inputs at or after the step."""
-    return bisect_left(stretch.inputs, step, key=_number)
 
 
 def _shorter(cut: list[float], steps: int, step: float) -> str:

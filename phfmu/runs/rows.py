@@ -5,7 +5,8 @@ Their columns are the signals of the stepper and then its free inputs.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -114,19 +115,17 @@ class RunColumns:
         self._data, self._from_data = data if own_data else None, (
             [self.names.index(n) for n, _ in own_data], [i for _, i in own_data]
         )  # fmt: skip
-        self._changes = np.zeros(0)  # times after which the next row of `_held` counts
-        self._held = np.zeros((1, 0))
+        self._stretch = Stretch(0.0, 0.0, [])
+        self._now = np.zeros(0)  # inputs in the steps that the last rows end
 
     def begin(self, stretch: Stretch) -> None:
         """A stretch whose events happened."""
         if not self._inputs:
             return
         at = {n: i for i, n in enumerate(self._inputs)}
-        where = {name: places(at, name) for name in {e.name for _, e in stretch.inputs}}
-        self._changes = stretch.start + (np.array([k for k, _ in stretch.inputs], float) + CLOSE) * self._step
-        start = np.array(list(self._stepper.inputs().values()))
-        changes = [(where[e.name], e.value) for _, e in stretch.inputs]
-        self._held = held_rows(start, len(changes) + 1, changes, range(1, len(changes) + 1))
+        self._stretch = stretch
+        self._places: Callable[[str], list[int]] = cache(partial(places, at))
+        self._now = np.array(list(self._stepper.inputs().values()))
 
     def rows(self, time: Array, values: Array, after: bool = False) -> Array:
         """The columns (n x names) of rows at `time` (n) of the stretch, with what the stepper tells.
@@ -141,7 +140,18 @@ class RunColumns:
         else:
             out[:, self._signals[1]] = values[:, self._signals[0]]
         if len(self._given[0]):
-            out[:, self._given[1]] = self._held[np.searchsorted(self._changes, time)][:, self._given[0]]
+            out[:, self._given[1]] = self._held_at(time)[:, self._given[0]]
         if self._data is not None:
             out[:, self._from_data[0]] = self._data(time, after)[:, self._from_data[1]]
         return out
+
+    def _held_at(self, time: Array) -> Array:
+        """Inputs (n x inputs) in the steps that end at `time` (n), not before the rows that were asked for last."""
+        if not (some := self._stretch.inputs.kept()):
+            return np.broadcast_to(self._now, (len(time), len(self._now)))
+        after = self._stretch.start + (np.array([k for k, _ in some], float) + CLOSE) * self._step
+        changes = [(self._places(e.name), e.value) for _, e in some]
+        held = held_rows(self._now, len(some) + 1, changes, range(1, len(some) + 1))
+        done = np.searchsorted(after, time)
+        self._now = held[done[-1]]
+        return held[done]

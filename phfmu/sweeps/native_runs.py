@@ -151,7 +151,7 @@ def _schedule(task: Task, places: Places) -> dict[str, list[dict[str, Any]]]:
     """Stretches of equal steps, and what the events at their starts set."""
     o = task.options
     stretches, changes = [], []
-    for start, end, here in segments(o.t0, o.stop, o.events, 1e-9 * o.step):
+    for start, end, here in segments(o.t0, o.stop, sorted(o.events, key=lambda e: e.t), 1e-9 * o.step):
         begun = len(changes)
         for e in here:
             for p in places.of(e.name, (PARAMETER, INPUT)):

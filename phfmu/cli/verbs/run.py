@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import chain
 from typing import TYPE_CHECKING, Any
 
 from phfmu.words import counted
 
 if TYPE_CHECKING:
     from phfmu.discretise.start import Projection
+    from phfmu.network.couplings.stepper import Stepper
     from phfmu.network.scene import Event, Scene
+    from phfmu.runs.input_rows import InputRows
     from phfmu.runs.options import Options
     from phfmu.runs.result import Result
 
@@ -131,8 +134,7 @@ def call(args: argparse.Namespace) -> int:
     stepper = job.build()
     events, rows, dropped = timeline(args, scene, stepper.settable())
     chosen = replace(chosen, events=events, signals=tuple(args.signals), every=_every(args.every))
-    given = rows.events() if rows is not None else []
-    changes = [e for e in (*events, *given) if e.t < chosen.stop]
+    changes = [e for e in (*events, *_of_parameters(stepper, rows)) if e.t < chosen.stop]
     if changes and not is_fmu(args.target):
         require_sound_scene(args, scene, changes)
     begun = perf_counter()
@@ -142,7 +144,8 @@ def call(args: argparse.Namespace) -> int:
             bar(t)
             signals.check()
 
-        marks = changes if args.interpolate == "held" else [e for e in events if e.t < chosen.stop]
+        held = rows.events() if rows is not None and args.interpolate == "held" else ()
+        marks = (e for e in chain(events, held) if e.t < chosen.stop)
         outputs.begin({"target": args.target, "run": label + job.kernels.words})
         columns = partial(outputs.columns, chosen, marks)
         record = accuracy.recorded(args, chosen.step)
@@ -163,7 +166,7 @@ def call(args: argparse.Namespace) -> int:
         accuracy.print_accuracy(args, record, job.order, chosen)
     if summary.closed:
         return FINE
-    _print_violated(result, None if is_fmu(args.target) or scene.units else scene, [*events, *given])
+    _print_violated(result, None if is_fmu(args.target) or scene.units else scene, changes)
     return LEDGER
 
 
@@ -177,6 +180,15 @@ def _print_violated(result: Result, declared: Scene | None, events: Sequence[Eve
     if declared is not None:
         lost = {v.name for v in summary.violations if v.kind is ViolationKind.DISSIPATION}
         _print_signs_lost(declared, events, result, lost)
+
+
+def _of_parameters(stepper: Stepper, rows: InputRows | None) -> Iterator[Event]:
+    """Events of the rows that may set parameters: the inputs of ports, which may be many, have no values that are unsound."""
+    from phfmu.network.couplings.stepper import Follows
+
+    ports = stepper.free_inputs if isinstance(stepper, Follows) else {}
+    names = [n for n in rows.names if n not in ports] if rows is not None else []
+    return rows.events(names) if rows is not None and names else iter(())
 
 
 def both(first: Callable[..., None], second: Callable[..., None] | None) -> Callable[..., None]:
