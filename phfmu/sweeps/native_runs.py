@@ -37,9 +37,18 @@ ROWS = ("stored", "dissipated", "supplied", "numerical", "moved", "pairs")
 
 
 def fits(task: Task) -> bool:
-    """Whether the compiled loop takes these runs: equal steps without damping, a projected start or state events."""
+    """Whether the compiled loop takes these runs: equal steps without damping, a projected start or state events, and without
+    events that change what of H is constant."""
     o = task.options
-    return o.rtol is None and not o.restart and not o.project and task.model.events is None
+    if o.rtol is not None or o.restart or o.project or task.model.events is not None:
+        return False
+    return not o.events or _constants_kept(task)
+
+
+def _constants_kept(task: Task) -> bool:
+    """Whether no event sets a parameter that the constant part of H depends on."""
+    own, places = Constants(task.model).parameters, Places(task.model)
+    return not own or not any(p.index in own for e in task.options.events for p in places.of(e.name, (PARAMETER,)))
 
 
 @cache

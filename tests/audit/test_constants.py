@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cache
+from types import SimpleNamespace
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -11,6 +13,7 @@ import pytest
 
 import phfmu as ph
 from phfmu import PHDAE, Collocated, NativeInstance, Options, block, build_model, energy
+from phfmu.audit import AuditWriter, summarise
 from phfmu.audit.violation import ViolationKind
 from phfmu.cli import main
 from phfmu.components.library import build
@@ -94,6 +97,49 @@ def test_a_constant_in_H_hides_no_made_energy_and_raises_no_alarm(name: str, how
             if found.closed is not sound:
                 wrong.append((sound, draw.constant, draw.made, found.share, found.violations))
     assert wrong == []
+
+
+@pytest.mark.parametrize("order", wide([2, 4, 6], 2))
+@pytest.mark.parametrize("how", ["composed", "apart", "file"])
+def test_a_constant_that_an_event_brings_hides_no_made_energy(how: str, order: int, tmp_path) -> None:
+    """1e12 J come into the term of the states, booked as a jump; J that is not skew from then on makes 0.3 J beside them."""
+    for made in (0.0, 0.0025):
+        x, y = ph.state("x", start=1.0), ph.state("y")
+        store, gain = ph.parameter("store", 0.0), ph.parameter("gain", 0.0)
+        J = ca.SX.zeros(2, 2)
+        J[0, 1], J[1, 0], J[1, 1] = 1.0, -1.0, gain.sx
+        H = energy(2.5 * (x.sx**2 + y.sx**2) + store.sx)
+        d = PHDAE(
+            "flywheel", states=(x, y), energies=(H,), structure=(block([x, y], J),), parameters=(store, gain)
+        )  # fmt: skip
+        model = build_model(d, Collocated(order // 2))
+        stepper, prefix = Monolithic(model, NativeInstance(model)), ""
+        if how == "apart":
+            net = ph.Network("two")
+            net.add("a", d)
+            net.add("b", PHDAE("still", states=(z := ph.state("z", start=1.0),), energies=(energy(z.sx**2),)))
+            models = {n: build_model(m, Collocated(order // 2)) for n, m in net.declared.items()}
+            members: list[Any] = [ph.EngineMember(n, m, NativeInstance(m)) for n, m in models.items()]
+            stepper, prefix = ph.Coupled(net, members), "a."
+        sink = AuditWriter(tmp_path / f"{made}.audit.parquet") if how == "file" else None
+        events = [ph.Event(0.5, f"{prefix}gain", made), ph.Event(0.5, f"{prefix}store", 1e12)]
+        found = run(stepper, Options(stop=10.0, step=0.01, events=events, sink=sink)).ledger.summary()
+        assert found.closed is (made == 0.0), found
+        assert sum(c.jumps or 0.0 for c in found.components) == pytest.approx(1e12)
+        if sink is not None:
+            sink.close()
+            assert summarise(tmp_path / f"{made}.audit.parquet").closed is (made == 0.0)
+
+
+def test_compiled_sweeps_leave_such_events_to_the_usual_loop() -> None:
+    from phfmu.sweeps.native_runs import fits
+
+    x, store, k = ph.state("x", start=1.0), ph.parameter("store", 0.0), ph.parameter("k", 1.0)
+    d = PHDAE("held", states=(x,), energies=(energy(k.sx * x.sx**2), energy(store.sx)), parameters=(store, k))
+    model = build_model(d)
+    for name, taken in (("k", True), ("store", False)):
+        options = Options(stop=1.0, step=0.1, events=[ph.Event(0.5, name, 2.0)])
+        assert fits(SimpleNamespace(options=options, model=model)) is taken  # type: ignore[arg-type]
 
 
 @pytest.mark.slow

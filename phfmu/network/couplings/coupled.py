@@ -182,6 +182,8 @@ class Coupled:
         self.last = Solution(self.last.xi, self.last.y)  # what comes is not the continuation of the step before
         before = self.energies() if self._growth else None
         kind = self.joined.set_value(name, value, self.last.xi)
+        if self.joined.booking.constants != self.booking.constants:
+            self.booking = replace(self.booking, constants=self.joined.booking.constants)
         self._sample()
         if self._growth is not None:
             self._growth.given(self.energies() - before)

@@ -16,7 +16,7 @@ from phfmu.engine.rest_changes import RestChange
 from phfmu.engine.switched import stepped
 from phfmu.network.couplings.stepper import Landing
 from phfmu.network.impulses.projections import Projections
-from phfmu.network.members.columns import Columns, booking
+from phfmu.network.members.columns import Columns, Constants, booking
 from phfmu.network.members.consistent import require_consistent
 from phfmu.network.members.happenings import Happenings
 from phfmu.network.members.inputs import Inputs
@@ -43,7 +43,9 @@ class Monolithic:
         self.model, self.instance = model, instance
         self._accounts = Accounts.of(model.members)
         self._projections = Projections(model)
-        self.booking = replace(booking(model, instance.parameters), parts=self._projections.keys)
+        self._constants = Constants(model)
+        held = self._constants.booked(instance.parameters)
+        self.booking = replace(booking(model, held), parts=self._projections.keys)
         self._inputs = Inputs(instance, model)
         self._columns = Columns(model, instance.layout)
         self.names = self._columns.names
@@ -81,11 +83,17 @@ class Monolithic:
         """Set a parameter or free input and say which it is; KeyError names close ones."""
         kind = self._inputs.set(name, value)
         if kind:
+            self._rebook()
             return kind
         d = self.model.declaration
         if name in {n for v in (*d.states, *d.algebraics) for n in (v.name, *v.names())}:
             raise KeyError(f"{d.name}: '{name}' follows from the equations; set a parameter or a free input")
         raise KeyError(d.unknown_name(name))
+
+    def _rebook(self) -> None:
+        """What is constant in H may follow a parameter that was set."""
+        if (held := self._constants.booked(self.instance.parameters)) != self.booking.constants:
+            self.booking = replace(self.booking, constants=held)
 
     def read(self) -> Array:
         """Values of `names` now."""

@@ -224,6 +224,9 @@ class Joined:
                     m.set_input(self.inputs(xi)[place])
                     return "input"
                 if kind := m.set_parameter(known, value):
+                    held = constants([m.booking for m in self.members])
+                    if held != self.booking.constants:
+                        self.booking = replace(self.booking, constants=held)
                     return kind
         raise KeyError(f"{self.network.name} has no parameter or input '{name}'; {meant(name, self.settable())}")
 
@@ -270,11 +273,11 @@ def _booking(network: Network, members: list[Member]) -> Booking:
         components,
         ports,
         frozenset(c for m in members for c in m.booking.silent),
-        constants=_constants([m.booking for m in members]),
+        constants=constants([m.booking for m in members]),
     )
 
 
-def _constants(bookings: list[Booking]) -> tuple[float, ...]:
+def constants(bookings: list[Booking]) -> tuple[float, ...]:
     """By component, what is constant in H; () where nothing is."""
     if not any(b.constants for b in bookings):
         return ()

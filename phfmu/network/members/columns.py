@@ -68,9 +68,11 @@ class Columns:
         return self.pick(np.concatenate([signals[b] for b in self._blocks])[None])[0]
 
 
-def booking(model: Model, parameters: NDArray[np.float64] | None = None) -> Booking:
-    """Audit names of a model's ledger with these parameters (default: those at the start): members (or the model itself)
-    and port pairs with their junctions."""
+def booking(model: Model, constants: tuple[float, ...]) -> Booking:
+    """Audit names of a model's ledger: members (or the model itself) and port pairs with their junctions.
+
+    constants: by component, what of H is constant
+    """
     d = model.declaration
     accounts = Accounts.of(model.members)
     members = model.members if accounts is None else [model.members[i] for i in accounts.first]
@@ -84,13 +86,9 @@ def booking(model: Model, parameters: NDArray[np.float64] | None = None) -> Book
         for j in range(p.n):
             index = None if p.size is None else j + 1
             pairs.append(PortKey(p.owner or model.name, short, index, at.get(p.name)))
-    held = Constants(model).at(model.p0 if parameters is None else parameters)
-    if accounts is None:
-        return Booking(components, tuple(pairs), constants=held)
-    terms = tuple(TermKey(a.component or model.name, a.term, a.stores) for a in accounts.terms)
-    return Booking(
-        components, tuple(pairs), constants=tuple(accounts.folded(np.array(held)).tolist()) if held else (), terms=terms
-    )
+    terms = () if accounts is None else accounts.terms
+    keys = tuple(TermKey(a.component or model.name, a.term, a.stores) for a in terms)
+    return Booking(components, tuple(pairs), constants=constants, terms=keys)
 
 
 class Constants:
@@ -102,9 +100,23 @@ class Constants:
         x, p = (ca.vertcat(ca.SX(0, 1), *(v.sx for v in some)) for some in (d.states, d.parameters))
         H = ca.vertcat(ca.SX(0, 1), *(e for _, e in summands))
         starts = ca.DM(model.x0[: x.numel()])
-        self._values = ca.Function("H", [p], [ca.densify(ca.substitute(H, x, point)) for point in (0 * starts, starts)])
+        zero, start = (ca.densify(ca.substitute(H, x, point)) for point in (0 * starts, starts))
+        self._values = ca.Function("H", [p], [zero, start])
+        self._p0 = model.p0
         self._owner = np.array([member(model.members, owner) for owner, _ in summands], int)
-        self._count = len(model.members)
+        self._count, self._accounts = len(model.members), Accounts.of(model.members)
+
+    @property
+    def parameters(self) -> frozenset[int]:
+        """Places of the parameters that they depend on."""
+        lost = ~np.isfinite(np.array(self._values(self._p0)[0]).ravel())
+        on_zero, on_start = (self._values.jac_sparsity(i, 0).get_triplet() for i in range(2))
+        return frozenset(on_zero[1]) | {j for i, j in zip(*on_start, strict=True) if lost[i]}
+
+    def booked(self, p: NDArray[np.float64]) -> tuple[float, ...]:
+        """As `at`, by the components that are booked."""
+        held = self.at(p)
+        return held if self._accounts is None or not held else tuple(self._accounts.folded(np.array(held)).tolist())
 
     def at(self, p: NDArray[np.float64]) -> tuple[float, ...]:
         """For these parameters [J]; () where nothing is."""

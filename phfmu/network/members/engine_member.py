@@ -13,7 +13,7 @@ from phfmu.audit.booking import Booking
 from phfmu.discretise.model import Model, build_model
 from phfmu.engine.impulses import port_kernels
 from phfmu.engine.rest_changes import RestChange
-from phfmu.network.members.columns import Columns, booked, booking
+from phfmu.network.members.columns import Columns, Constants, booked, booking
 from phfmu.network.members.consistent import MONOLITHIC, require_consistent
 from phfmu.network.members.differences import finite_differences
 from phfmu.network.members.happenings import Happenings
@@ -51,7 +51,8 @@ class EngineMember:
         #: its steps look at no guard: all members land together
         self.together = False
         self._happenings = None if model.events is None else Happenings(model, name)
-        own = booking(model, instance.parameters)
+        self._constants = Constants(model)
+        own = booking(model, self._constants.booked(instance.parameters))
         rename = {model.name: name}
         self.booking = Booking(
             tuple(rename.get(c) or of_member(name, c) for c in own.components),
@@ -116,7 +117,10 @@ class EngineMember:
         return places(self._inputs.inputs, name)
 
     def set_parameter(self, name: str, value: float) -> str:
-        return self._inputs.set(name, value) if places(self._inputs.parameters, name) else ""
+        kind = self._inputs.set(name, value) if places(self._inputs.parameters, name) else ""
+        if kind and (held := self._constants.booked(self.instance.parameters)) != self.booking.constants:
+            self.booking = replace(self.booking, constants=held)
+        return kind
 
     def read_signals(self, names: Sequence[str]) -> Array:
         return self._columns.some(self.instance, tuple(names))
