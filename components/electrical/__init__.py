@@ -9,6 +9,9 @@ from phfmu.components.electrical.machines.machine_data import MachineData, Machi
 from phfmu.components.electrical.machines.machine_init import OperatingPoint, operating_point, steady_state
 from phfmu.components.electrical.machines.machine_per_unit import from_inductances, from_per_unit, reactances
 from phfmu.components.electrical.machines.synchronous_machine import machine_at_bus, synchronous_machine
+from phfmu.components.electrical.network.lines import coupled_line, line_per_unit, pi_line, series_compensated_line
+from phfmu.components.electrical.network.loads import capacitor_bank, load, rlc_branch, shunt
+from phfmu.components.electrical.network.transformers import two_winding_transformer
 from phfmu.components.electrical.rectifiers import rectifier_bridge, six_pulse_bridge
 from phfmu.components.electrical.resistor import resistor, transformer
 from phfmu.components.electrical.rl_line import rl_line
@@ -22,8 +25,10 @@ __all__ = [
     "MachineDataError",
     "OperatingPoint",
     "breaker",
+    "capacitor_bank",
     "chopper",
     "clearing_fault",
+    "coupled_line",
     "current_source",
     "dc_motor",
     "diode",
@@ -34,10 +39,13 @@ __all__ = [
     "ideal_switch",
     "induction_machine",
     "infinite_bus",
+    "line_per_unit",
+    "load",
     "machine_at_bus",
     "machine_names",
     "machine_set",
     "operating_point",
+    "pi_line",
     "rc_node",
     "reactances",
     "rectifier_bridge",
@@ -45,11 +53,15 @@ __all__ = [
     "rl_branch",
     "rl_line",
     "rl_link",
+    "rlc_branch",
     "rlc_load",
+    "series_compensated_line",
+    "shunt",
     "six_pulse_bridge",
     "steady_state",
     "synchronous_machine",
     "thyristor",
     "transformer",
+    "two_winding_transformer",
     "voltage_source",
 ]
