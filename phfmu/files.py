@@ -10,6 +10,8 @@ from contextvars import ContextVar
 from pathlib import Path
 
 ENDING = ".partial"
+#: ends of the names of files that are grids
+GRIDS = (".raw", ".m")
 
 _folder: ContextVar[Path | None] = ContextVar("_folder", default=None)
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from phfmu.arguments import TargetError, parsed
+from phfmu.files import GRIDS
 
 if TYPE_CHECKING:
     from phfmu.network.scene import Scene
@@ -27,9 +28,7 @@ def is_ssp(target: str) -> bool:
 
 
 def is_grid(target: str) -> bool:
-    from phfmu.importers.grid import FILES
-
-    return target.lower().endswith(FILES)
+    return target.lower().endswith(GRIDS)
 
 
 def load(target: str, lenient: bool = False) -> Any:
@@ -74,12 +73,7 @@ def require_known(target: str, words: Iterable[str]) -> None:
     from phfmu.words import meant
 
     own = list(words)
-    if (
-        not target.replace("-", "_").isidentifier()
-        or target in TABLE
-        or target in own
-        or Path(f"{target}.py").exists()
-    ):
+    if not target.replace("-", "_").isidentifier() or target in TABLE or target in own or Path(f"{target}.py").exists():
         return
     close = meant(target, [*own, *TABLE], f"beside what phfmu list tells there are: {', '.join(own)}")
     raise TargetError(f"no component or scene '{target}' in the library; {close}")
