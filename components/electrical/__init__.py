@@ -2,6 +2,7 @@
 
 from phfmu.components.electrical.branches import rc_node, rl_branch, rl_link
 from phfmu.components.electrical.breaker import breaker, clearing_fault, ideal_diode
+from phfmu.components.electrical.field_source import field_source
 from phfmu.components.electrical.infinite_bus import infinite_bus
 from phfmu.components.electrical.machines.dc_motor import dc_motor
 from phfmu.components.electrical.machines.induction_machine import induction_machine
@@ -33,6 +34,7 @@ __all__ = [
     "dc_motor",
     "diode",
     "fault_resistor",
+    "field_source",
     "from_inductances",
     "from_per_unit",
     "ideal_diode",

@@ -6,6 +6,7 @@ from phfmu.components.scenes.breaker_opening import breaker_opening
 from phfmu.components.scenes.buck import buck
 from phfmu.components.scenes.clutch_engagement import clutch_engagement
 from phfmu.components.scenes.drive import drive
+from phfmu.components.scenes.island import island, smib_exciter
 from phfmu.components.scenes.ladder import ladder
 from phfmu.components.scenes.motor_start import motor_start
 from phfmu.components.scenes.oscillator import oscillator
@@ -26,6 +27,7 @@ __all__ = [
     "clutch_engagement",
     "drive",
     "hard_stop",
+    "island",
     "ladder",
     "motor_start",
     "oscillator",
@@ -33,6 +35,7 @@ __all__ = [
     "six_pulse",
     "smib",
     "smib_breaker",
+    "smib_exciter",
     "smib_folded",
     "smib_hydro",
     "speed_control",

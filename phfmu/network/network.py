@@ -18,8 +18,8 @@ from phfmu.declare.units import parse_unit
 from phfmu.html import grid
 from phfmu.network.compose import compose
 from phfmu.network.junction import KIND, SHARED, ConnectionError, End, Junction, Kind
-from phfmu.network.signal_ports import separate
-from phfmu.network.wires import Wire, in_order, wires_between
+from phfmu.network.signal_ports import following, separate
+from phfmu.network.wires import Wire, at_junction, in_order, wires_between
 from phfmu.words import counted, meant
 
 if TYPE_CHECKING:
@@ -124,14 +124,19 @@ class Network:
     def signal(self, source: str, target: str, *, factor: float = 1.0, offset: float = 0.0) -> None:
         """Feed the signal input `member.name` from an observable, state or port output `member.name`: a value, no power.
 
-        input = factor output + offset, both in one unit.
+        input = factor output + offset, both in one unit; vectors of equal size entry by entry.
+        An input of a free port (`gen.field.v`) can be fed as well: its port becomes a source that follows the signal, with
+        its work booked there.  A source `junction.name` is the common variable of a junction that a port there has as output.
         Composed, the input is the output at every instant. Members stepped apart exchange it at the nodes of their steps,
         which is the same (`separate`), or hold it over a step, at its value in the middle as the two steps before foretell
         it (order 2).
         Errors: ConnectionError for names and units that do not fit, an input that is fed already or that H depends on, and
         loops of outputs that depend on each other at once.
         """
-        new = [replace(w, factor=factor, offset=offset) for w in wires_between(self.members, source, target)]
+        source = at_junction(source, self.members, self.junctions)
+        followers = self._following(target)
+        members = self.members | followers
+        new = [replace(w, factor=factor, offset=offset) for w in wires_between(members, source, target)]
         for wire in new:
             fed = [w for w in self.wires if (w.target, w.input) == (wire.target, wire.input)]
             if fed:
@@ -139,7 +144,25 @@ class Network:
                 raise ConnectionError(
                     f"signal input {end}", f"{end} is fed by {first} already", "connect one of the two"
                 )
-        self.wires = in_order(self.members, [*self.wires, *new])
+        self.wires = in_order(members, [*self.wires, *new])
+        self.members |= followers
+
+    def _following(self, target: str) -> dict[str, PHDAE]:
+        """The member with a source in the place of its free port whose input is the target; {} where it is none."""
+        name, _, wanted = target.partition(".")
+        model = self.members.get(name)
+        if not isinstance(model, PHDAE):
+            return {}
+        for port in model.ports:
+            names = port.input_names()
+            if not port.external or wanted not in (names[0].partition("[")[0], *names):
+                continue
+            at = self._taken().get(End(name, port.name))
+            if at is not None:
+                reason = f"its port {name}.{port.name} is joined at '{at}', which gives it"
+                raise ConnectionError(f"signal input {target}", reason, "feed an input of a free port")
+            return {name: following(model, port)}
+        return {}
 
     def compose(self) -> PHDAE:
         """The network as one PHDAE: the class is closed under interconnection.  ConnectionError names units in it."""

@@ -23,9 +23,10 @@ from phfmu.declare.coefficients import coefficient
 from phfmu.declare.event import StateEvent
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import SIGNAL, Given, Port
-from phfmu.declare.signal import driven
+from phfmu.declare.signal import driven, signal_input
 from phfmu.declare.switch import Switch
 from phfmu.declare.variable import Variable, _sx
+from phfmu.network.junction import ConnectionError
 from phfmu.network.wires import Output, Wire, outputs, works
 
 
@@ -74,6 +75,22 @@ def fed(model: PHDAE, values: Mapping[str, ca.SX]) -> PHDAE:
         state_events=tuple(map(event, model.state_events)),
         switches=tuple(map(switch, model.switches)),
     )
+
+
+def following(model: PHDAE, port: Port) -> PHDAE:
+    """`model` with a source in the place of a free port: it follows a signal input of the name of the port's input."""
+    name = port.input_names()[0].partition("[")[0]
+    start = port.input_starts() if port.size is not None else port.input_starts()[0]
+    text = port.description or f"input of port {port.name}"
+    command = signal_input(name, start, port.size, unit=port.input_unit, description=text)
+    blocks = (*model.structure, *model.dissipation)
+    if any(v is port for b in blocks for v in b.variables):
+        reason = "stands in J or R, where no source can take its place"
+        raise ConnectionError(
+            f"signal input {name}", f"port {port.name} {reason}", "join a source to it that a signal sets"
+        )
+    new = model.mapped(lambda v: v, lambda p: replace(p, source=command.sx) if p is port else p)
+    return replace(new, parameters=(*new.parameters, command))
 
 
 def with_signal_ports(model: PHDAE, taken: Collection[str], sent: Collection[str]) -> PHDAE:

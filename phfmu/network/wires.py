@@ -18,7 +18,7 @@ from phfmu.declare.port import Port
 from phfmu.declare.signal import read_by, signal_inputs
 from phfmu.declare.units import Unit, UnitError, parse_unit
 from phfmu.declare.variable import _sx
-from phfmu.network.junction import ConnectionError
+from phfmu.network.junction import ConnectionError, Junction
 from phfmu.signals import of_member
 from phfmu.words import first_few, meant
 
@@ -106,6 +106,34 @@ def wires_between(members: Mapping[str, PHDAE | UnitFile], source: str, target: 
     if isinstance(into, PHDAE):
         _refuse_work(into, taken, target)
     return [Wire(a, g, b, t) for g, t in zip(given, taken, strict=True)]
+
+
+def at_junction(source: str, members: Mapping[str, PHDAE | UnitFile], junctions: Sequence[Junction]) -> str:
+    """The port output that a source `junction.name` stands for; the source itself where no junction has that name.
+
+    ConnectionError where no port at the junction has the common variable as its output: it is a multiplier, which depends
+    on all that meets there at once, so that it is measured by a member with a lag.
+    """
+    name, _, wanted = source.partition(".")
+    junction = next((j for j in junctions if j.name == name), None)
+    if junction is None or name in members:
+        return source
+    ports = junction.ports(members)
+    word, bracket, index = wanted.partition("[")
+    common = next(iter(ports.values())).domain.word(junction.shared)
+    if word != common:
+        raise ConnectionError(f"junction '{name}'", f"has no '{wanted}'", f"its common variable is {name}.{common}")
+    for end, port in ports.items():
+        model = members[end.member]
+        there = outputs(model)
+        told = port.output_names()[0].partition("[")[0]
+        if port.given != junction.shared and told in there:
+            return f"{of_member(end.member, told)}{bracket}{index}"
+    raise ConnectionError(
+        f"signal source {source}",
+        "no port at the junction has it as its output: it is a multiplier, which follows all that meets there at once",
+        "join a member there that measures it through a lag (phfmu.components.control.meter), and take its signal",
+    )
 
 
 @dataclass(frozen=True)

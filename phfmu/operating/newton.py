@@ -55,7 +55,7 @@ def _newton(
             pinned = _pinned(system, J, group)
         if motion is not None:
             F, J = F + motion[0] @ (v - motion[1]), J + motion[0]
-        row, column = _equilibrated(J)
+        row, column = equilibrated(J)
         try:
             update = column * splu((sp.diags(row) @ (J + pinned) @ sp.diags(column)).tocsc()).solve(row * F)
         except RuntimeError as failure:
@@ -102,7 +102,7 @@ def _turned(system: System, v: Array) -> Array:
         return v
     F, _ = system.evaluate(v)
     A = (J + _pinned(system, J, np.unique(system.named, return_inverse=True)[1])).tocsr()[rows][:, columns]
-    row, column = _equilibrated(A)
+    row, column = equilibrated(A)
     try:
         update = column * splu((sp.diags(row) @ A @ sp.diags(column)).tocsc()).solve(row * F[rows])
     except RuntimeError:
@@ -163,7 +163,7 @@ def _failed(system: System, what: str, v: Array, F: Array, J: Sparse) -> NoOpera
     )
 
 
-def _equilibrated(J: Sparse) -> tuple[Array, Array]:
+def equilibrated(J: Sparse) -> tuple[Array, Array]:
     """Scales of rows and columns, by two rounds of Ruiz."""
     column = _largest(J, 0)
     column = 1.0 / np.where(column == 0, 1.0, column)

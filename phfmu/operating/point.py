@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from phfmu.network.junction import End
 from phfmu.network.network import Network
-from phfmu.operating.newton import solved
 from phfmu.operating.rotation import BALANCED, TURN, Equations, three_phase
+from phfmu.operating.set_points import require_within_limits, solved_in_blocks
 from phfmu.operating.specifications import Specification
 from phfmu.operating.system import NoOperatingPoint, System
 from phfmu.signals import of_member
@@ -89,13 +89,14 @@ def operating_point(net: Network, specifications: Sequence[Specification], frequ
     """The balanced steady state of a network at `frequency` [Hz] that meets the specifications.
 
     `net` has declared members with three-phase electrical ports, and whatever stands beside them (shafts, sources, signals to
-    controllers).  Where nothing fixes the angle of the voltages, one specification is a `Slack`.
+    controllers).  Controllers whose set points are freed for a field voltage or a torque are solved after the network.
+    Where nothing fixes the angle of the voltages, one specification is a `Slack`.
     NoOperatingPoint names members that are not symmetric under rotation of the phases, sources of another frequency, numbers of
-    equations and unknowns that differ, and voltages that no grid is run at.  KeyError names ports and free names
-    that are not there.
+    equations and unknowns that differ, voltages that no grid is run at, and limits of controllers that the point lies
+    beyond.  KeyError names ports and free names that are not there.
     """
     system = System(net, specifications, 2.0 * pi * frequency)
-    return _told(system, *solved(system))
+    return _told(system, *solved_in_blocks(system))
 
 
 def _told(system: System, v: Array, iterations: int) -> NetworkPoint:
@@ -140,6 +141,7 @@ def _told(system: System, v: Array, iterations: int) -> NetworkPoint:
         system.kind_of,
     )
     _require_sound(system, point)
+    require_within_limits(system.net, states | parameters)
     return point
 
 

@@ -267,13 +267,15 @@ class System:
         if model is None:
             raise KeyError(f"no member '{member}' for the free value '{name}'; {meant(member, self.declared)}")
         e, n = self.kind_of[member], self.kind_of[member].size
-        names = [m for p, _ in e.ports for m in p.input_names()] + [m for v in model.parameters for m in v.names()]
+        names = [m if p.external else "" for p, _ in e.ports for m in p.input_names()]
+        names += [m for v in model.parameters for m in v.names()]
         if own not in names:
-            raise KeyError(f"{member} has no input or parameter '{own}'; {meant(own, names)}")
+            raise KeyError(f"{member} has no input or parameter '{own}'; {meant(own, filter(None, names))}")
         return self.place[member] + n.x + n.a + names.index(own)
 
     def _wires(self) -> None:
         """Signals: the input is an unknown, equal to the output times the factor plus the offset."""
+        self.wired: list[tuple[int, int]] = []  #: row and unknown of each signal
         for wire in self.net.wires:
             n = self.kind_of[wire.source].size
             place = self._value(of_member(wire.target, wire.input))
@@ -282,6 +284,7 @@ class System:
             self._P.put(place, at, 1.0)
             self.constant[place] = 0.0
             seen = self.output[wire.source] + n.x + n.a + n.u + self.read[wire.source].index(wire.output)
+            self.wired.append((row, at))
             self._A.put(row, at, -1.0)
             self._Q.put(row, seen, wire.factor)
             self.b.append((row, wire.offset))
