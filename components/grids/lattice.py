@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import ceil, sqrt
 
 import numpy as np
 
+from phfmu.components.grids.angles import angles
 from phfmu.importers.grid import Bus, Demand, Dynamics, Generator, Grid, Line, Transformer
 
 #: buses of the lattice for one machine; its data on its own base
@@ -19,7 +21,8 @@ MACHINE = {
 def lattice(n: int, seed: int = 0) -> Grid:
     """A grid of n buses (at least 9): about n/9 machines of 20 kV, the others of 230 kV on a lattice, the same for each seed.
 
-    Line lengths and loads vary by chance; each machine feeds about the loads around it.  ValueError for fewer buses.
+    Line lengths and loads vary by chance; each machine feeds the loads around it and its share of the losses.
+    ValueError for fewer buses.
     """
     if n < EACH + 1:
         raise ValueError(f"lattice({n}): it has at least {EACH + 1} buses")
@@ -45,5 +48,9 @@ def lattice(n: int, seed: int = 0) -> Grid:
         transformers.append(Transformer(number, int(around[len(around) // 2]) + 1, "1", 0.0, 0.1 * 100.0 / base))
         generators.append(Generator(number, "1", p, 0.0, 1.03, number, base))
         dynamics.append(Dynamics(number, "1", "GENROU", MACHINE, "lattice"))
-    return Grid(f"grid{n}", 100.0, 60.0, tuple(buses), tuple(lines), tuple(transformers), demands, (),
+    made = Grid(f"grid{n}", 100.0, 60.0, tuple(buses), tuple(lines), tuple(transformers), demands, (),
                 tuple(generators), tuple(dynamics))  # fmt: skip
+    theta = angles(made, range(1, n + 1), [*lines, *transformers])
+    losses = made.base * sum(b.r * ((theta[b.i] - theta[b.j]) / b.x) ** 2 for b in lines)
+    more = 1.0 + losses / loads.sum()
+    return replace(made, generators=tuple(replace(g, p=g.p * more) for g in generators))

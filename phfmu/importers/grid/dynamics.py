@@ -66,7 +66,7 @@ def read_dyr(path: str | PathLike[str]) -> list[Dynamics]:
     if not file.is_file():
         raise GridError(str(path), ["there is no such file"])
     text = re.sub(r"//.*|@!.*", "", file.read_text(encoding="utf-8", errors="replace"))
-    for number, record in enumerate(filter(str.strip, re.split(r"/\s*(?:\n|$)", text)), 1):
+    for number, record in enumerate(filter(str.strip, re.split(r"/[^\n]*(?:\n|$)", text)), 1):
         words = re.findall(r"'[^']*'|[^\s,]+", record)
         where = f"{file.name}, record {number}"
         if len(words) < 3 or not words[0].lstrip("-").isdigit():

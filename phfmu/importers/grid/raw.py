@@ -25,9 +25,9 @@ from phfmu.importers.grid.table import (
 )
 
 REVISIONS = (32, 33, 34, 35)
-END = re.compile(
-    r"\s*0\s*(?:/\s*(?:END OF (?P<ended>.*?)(?: DATA)?\s*(?:,\s*BEGIN (?P<begun>.*?)(?: DATA)?\s*)?)?.*)?$", re.I
-)
+END = re.compile(r"\s*0\s*(?:/(?P<words>.*))?$")
+ENDED = re.compile(r"END OF\s+(.*?)(?:\s+DATA)?\s*(?:,|$)", re.I)
+BEGUN = re.compile(r"BEGIN\s+(.*?)(?:\s+DATA)?\s*$", re.I)
 #: sections in the order of the file, for those whose ends bear no names
 ORDER = (
     "BUS", "LOAD", "FIXED SHUNT", "GENERATOR", "BRANCH", "SYSTEM SWITCHING DEVICE", "TRANSFORMER", "AREA", "TWO-TERMINAL DC",
@@ -92,6 +92,7 @@ def read_raw(path: str | PathLike[str]) -> Grid:
     get = lambda section: sections.get(section, [])  # noqa: E731
     buses = [_bus(r) for r in get("BUS")]
     base = head.number(1, 100.0)
+    Grid(name, base, head.number(5, 60.0), tuple(buses))  # which refuses buses that records below cannot be read with
     kv = {b.number: b.kv for b in buses}
     transformers: list[Transformer] = []
     records = iter(get("TRANSFORMER"))
@@ -134,17 +135,22 @@ def _sections(name: str, lines: Sequence[str], revision: int) -> dict[str, list[
         if end is None:
             records.append(Record(name, number, begun, _fields(line)))
             continue
-        found[_section(end["ended"]) or begun] = records
+        words = end["words"] or ""
+        ended, after = (_section(m[1]) if (m := pattern.search(words)) else "" for pattern in (ENDED, BEGUN))
+        if ended in order and ended != begun:
+            raise GridError(name, [f"line {number} ends the {ended.lower()} data where {begun.lower()} data stand; "
+                                   f"the line that ends these is missing, or a section is at the wrong place"])  # fmt: skip
+        found[begun] = records
         k = order.index(begun) + 1 if begun in order else 0
-        begun, records = _section(end["begun"]) or (order[k] if k < len(order) else "REST"), []
+        begun, records = after or (order[k] if k < len(order) else "REST"), []
     return found
 
 
-def _section(words: str | None) -> str:
+def _section(words: str) -> str:
     """The name of a section as it is in `ORDER`."""
-    text = (words or "").upper().strip()
+    text = words.upper()
     known = (*ORDER, "SYSTEM-WIDE")
-    return text if text in known or not text else next((s for s in known if text.startswith(s)), text)
+    return text if text in known else next((s for s in known if text.startswith(s)), text)
 
 
 def _bus(r: Record) -> Bus:
