@@ -105,10 +105,12 @@ class _Build:
         self.net = Network(_identifier(grid.name) or "grid", description=f"{grid.name}: {len(grid.buses)} buses")
         self.rows: list[Row] = []
         self.notes: list[str] = [f"not represented: {line}" for line in grid.unused]
-        self.problems: list[str] = []
         self.specifications: list[Specification] = []
         self.nodes = {b.number: _Node() for b in grid.buses if b.kind != ISOLATED}
         self.branches = self._named_branches()
+        self.problems = [why for branch in self.branches.values() if (why := _unsound(branch))]
+        if self.problems:
+            raise GridError(grid.name, self.problems)
         if lost := apart(grid, self.nodes, self.branches.values()):
             raise GridError(grid.name, [f"bus {n}: no branch in service joins it to the slack bus {grid.slack.number}; "
                                         "take it out (type 4)" for n in lost[:5]])  # fmt: skip
@@ -209,8 +211,6 @@ class _Build:
             if name in self.breakers:
                 self.problems.append(f"{device}: a series capacitor cannot be tripped; trip the line beside it")
             return
-        if not self._sound(device, line.r, line.x):
-            return
         self._series(name, complex(line.r, line.x), line.i, line.j, 1.0, name in self.breakers)
         for bus, end in ((line.i, "a"), (line.j, "b")):
             self.nodes[bus].ends.append(f"{name}.{end}")
@@ -221,13 +221,6 @@ class _Build:
 
     def _transformer(self, name: str, t: Transformer) -> None:
         device = f"transformer {t.i}-{t.j} '{t.circuit}'"
-        if not self._sound(device, t.r, t.x):
-            return
-        if abs(t.shift) > 1e-12:
-            self.problems.append(
-                f"{device}: it shifts the phase by {t.shift * 180 / pi:g} degrees, and there is no part for it"
-            )
-            return
         leakage = name.replace("transformer", "leakage")
         ratio = self.bus[t.j].kv / self.bus[t.i].kv / t.tap
         self._series(leakage, complex(t.r, t.x), t.i, t.j, ratio, name in self.breakers)
@@ -240,19 +233,6 @@ class _Build:
         group = f"vector group {t.group}" if t.group else ""
         words = "Yy0, zero sequence as the positive one"
         self.rows.append(Row("transformer", device, (name, leakage), "r, x, ratio", group, words))
-
-    def _sound(self, device: str, r: float, x: float) -> bool:
-        """Whether a branch has a part; if not, the problem is noted."""
-        if x > 0 and r >= 0:
-            return True
-        if x == 0:
-            why = "x = 0: give it an inductance, or make its two buses one"
-        elif x < 0:
-            why = f"x = {x:g} pu: a transformer has a positive leakage; give its windings otherwise"
-        else:
-            why = f"r = {r:g} pu is negative"
-        self.problems.append(f"{device}: {why}")
-        return False
 
     def _joined_buses(self) -> dict[int, set[int]]:
         """Bus -> buses that series capacitors join to it, itself among them."""
@@ -432,6 +412,21 @@ class _Build:
             if d.model not in MODELS:
                 count[d.model] = count.get(d.model, 0) + 1
         self.notes += [f"not represented: {n} {model}" for model, n in count.items()]
+
+
+def _unsound(branch: Line | Transformer) -> str:
+    """Why a branch has no part; empty for one that has."""
+    what = "line" if isinstance(branch, Line) else "transformer"
+    device, r, x = f"{what} {branch.i}-{branch.j} '{branch.circuit}'", branch.r, branch.x
+    if x == 0:
+        return f"{device}: x = 0; give it an inductance, or make its two buses one"
+    if isinstance(branch, Transformer) and x < 0:
+        return f"{device}: x = {x:g} pu; a transformer has a positive leakage, give its windings otherwise"
+    if r < 0:
+        return f"{device}: r = {r:g} pu is negative"
+    if isinstance(branch, Transformer) and abs(branch.shift) > 1e-12:
+        return f"{device}: it shifts the phase by {branch.shift * 180 / pi:g} degrees, and there is no part for it"
+    return ""
 
 
 def _named(grid: str, text: str, there: Collection[str]) -> str:
