@@ -12,6 +12,9 @@ from phfmu.components.electrical.machines.machine_per_unit import from_inductanc
 from phfmu.components.electrical.machines.synchronous_machine import machine_at_bus, synchronous_machine
 from phfmu.components.electrical.network.lines import coupled_line, line_per_unit, pi_line, series_compensated_line
 from phfmu.components.electrical.network.loads import capacitor_bank, load, rlc_branch, shunt
+from phfmu.components.electrical.network.saturation import MagnetisationCurve, saturating_reactor
+from phfmu.components.electrical.network.shunts import constant_power_load, fault, fault_events, surge_arrester
+from phfmu.components.electrical.network.thevenin import thevenin_source
 from phfmu.components.electrical.network.transformers import two_winding_transformer
 from phfmu.components.electrical.rectifiers import rectifier_bridge, six_pulse_bridge
 from phfmu.components.electrical.resistor import resistor, transformer
@@ -24,15 +27,19 @@ from phfmu.components.electrical.switches import chopper, diode, ideal_switch, t
 __all__ = [
     "MachineData",
     "MachineDataError",
+    "MagnetisationCurve",
     "OperatingPoint",
     "breaker",
     "capacitor_bank",
     "chopper",
     "clearing_fault",
+    "constant_power_load",
     "coupled_line",
     "current_source",
     "dc_motor",
     "diode",
+    "fault",
+    "fault_events",
     "fault_resistor",
     "field_source",
     "from_inductances",
@@ -57,11 +64,14 @@ __all__ = [
     "rl_link",
     "rlc_branch",
     "rlc_load",
+    "saturating_reactor",
     "series_compensated_line",
     "shunt",
     "six_pulse_bridge",
     "steady_state",
+    "surge_arrester",
     "synchronous_machine",
+    "thevenin_source",
     "thyristor",
     "transformer",
     "two_winding_transformer",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import pi, sqrt
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 
 from phfmu import ELECTRICAL, PHDAE, Port, block, damping, energy, observable, parameter, state
 from phfmu.components.electrical.machines.park import PHASES
+from phfmu.components.electrical.network.saturation import MagnetisationCurve
 
 #: what the phases of a side put on the limbs: each with ground, each with a neutral that floats, between two phases
 GROUNDED = np.eye(3)
@@ -60,13 +62,18 @@ def two_winding_transformer(
     tap: float = 1.0,
     i0: float | None = None,
     p0: float = 0.0,
+    curve: MagnetisationCurve | None = None,
+    linkage0: Sequence[float] = (0.0, 0.0, 0.0),
 ) -> PHDAE:
     """Transformer with its leakage on side b:  flux' = W_a v_a/(tap n) - W_b v_b - R i,  i = flux/L,  n = Va/Vb.
 
     a.i = W_a^T (i + i_m)/(tap n),  b.i = -W_b^T i.  W_a, W_b: what the sides put on the limbs, by the vector group.
     With `i0`:  linkage' = W_a v_a/(tap n),  i_m = linkage/L_m + G_m W_a v_a/(tap n),  beside side a.
+    With `curve` instead: i_m = dH/d linkage of the magnetisation curve, flux and current as parts of the rated peaks on side b;
+    it begins with the fluxes `linkage0`, parts of the rated peak.
 
-    H:  |flux|^2/(2 L) + |linkage|^2/(2 L_m);  J: 0;  R: R on each limb, G_m W_a^T W_a/(tap n)^2 as feedthrough of a
+    H:  |flux|^2/(2 L) + |linkage|^2/(2 L_m), or that of the curve;  J: 0
+    R:  R on each limb, G_m W_a^T W_a/(tap n)^2 as feedthrough of a
     states:      flux (3) [Wb] of the leakage, linkage (3) [Wb] of the core with i0; both as seen from side b
     ports:       a, b: voltages given, currents INTO the transformer out
     parameters:  R [ohm], L [H] of the leakage, L_m [H] and G_m [S] of the core, as seen from side b;  n, tap [1]
@@ -84,6 +91,10 @@ def two_winding_transformer(
     if not (x > 0 and r >= 0):
         remedy = "for an ideal one use transformer"
         raise ValueError(f"two_winding_transformer: x = {x:g} must be positive and r = {r:g} not negative; {remedy}")
+    if curve is not None and (i0 is not None or p0):
+        raise ValueError(
+            f"two_winding_transformer: a curve and i0 = {i0}, p0 = {p0:g} both say what the core takes; give one of them"
+        )
     if p0 and (i0 is None or not 0 <= p0 < i0):
         raise ValueError(
             f"two_winding_transformer: a no-load loss p0 = {p0:g} needs a no-load current above it, i0 = {i0}; both in per unit"
@@ -110,7 +121,13 @@ def two_winding_transformer(
             "L_m", Z / sqrt(i0**2 - p0**2) / w, unit="H", positive=True, description="inductance of the core"
         )
         linkage = state(
-            "linkage", 3, unit="Wb", nominal=peak / w, description="flux linkage of the core", elements=PHASES
+            "linkage",
+            3,
+            unit="Wb",
+            start=[peak / w * part for part in linkage0],
+            nominal=peak / w,
+            description="flux linkage of the core",
+            elements=PHASES,
         )
         on[linkage] = seen
         told = observable("i_m", linkage.z, unit="A", description="magnetising current", elements=PHASES)
@@ -118,6 +135,21 @@ def two_winding_transformer(
             "states": (linkage,), "parameters": (magnetising,), "told": (told,),
             "energies": (energy(ca.sumsqr(linkage.sx) / (2 * magnetising)),),
         }  # fmt: skip
+    if curve is not None:
+        linkage = state(
+            "linkage",
+            3,
+            unit="Wb",
+            start=[peak / w * part for part in linkage0],
+            nominal=peak / w,
+            description="flux linkage of the core",
+            elements=PHASES,
+        )
+        on[linkage] = seen
+        iron = curve.scaled(peak / w, rated)
+        told = observable("i_m", linkage.z, unit="A", description="magnetising current", elements=PHASES)
+        parts = tuple(energy(iron.energy(linkage.sx[k])) for k in range(3))
+        more = {"states": (linkage,), "parameters": (), "told": (told,), "energies": parts}
     a = Port(
         "a",
         ELECTRICAL,

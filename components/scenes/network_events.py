@@ -1,0 +1,58 @@
+"""What networks are asked for first: short circuits of any kind, and the inrush of a transformer."""
+
+from __future__ import annotations
+
+from math import pi, sqrt
+
+from phfmu import Network, Scene
+from phfmu.components.electrical.infinite_bus import infinite_bus
+from phfmu.components.electrical.network.lines import coupled_line
+from phfmu.components.electrical.network.loads import load, shunt
+from phfmu.components.electrical.network.saturation import MagnetisationCurve
+from phfmu.components.electrical.network.shunts import fault, fault_events
+from phfmu.components.electrical.network.thevenin import thevenin_source
+from phfmu.components.electrical.network.transformers import two_winding_transformer
+from phfmu.operating import operating_point
+
+#: flux and current of transformer iron as parts of the rated peaks: knee at 1.15, then nearly as air
+IRON = MagnetisationCurve(((1.0, 0.002), (1.15, 0.01), (1.25, 0.1), (1.55, 1.1)))
+
+
+def short_circuit(kind: str = "ag", *, R: float = 0.5, begins: float = 0.04, clears: float = 0.14) -> Scene:
+    """A 20 kV feeder of 500 MVA, 50 Hz with a line and a load of 8 MW, from its steady state; a fault at the load.
+
+    Arguments: kind (of the fault: abcg, abc, ab, abg, ag, ...), R [ohm], begins, clears [s]
+    """
+    V, v = 20e3, 20e3 * sqrt(2.0 / 3.0)
+    net = Network("short_circuit", description=f"fault {kind} at the end of a feeder")
+    net.add("grid", thevenin_source(V, 500e6, rated=500.0))
+    net.add("line", coupled_line(1.0, 5e-3, R0=2.5, L0=16e-3, v=v, rated=500.0))
+    net.add("load", load(8e6, 3e6, V=V))
+    net.add("fault", fault(kind, R, nominal=v))
+    net.junction("bus1", ["grid.terminal", "line.a"])
+    net.junction("bus2", ["line.b", "load.terminal", "fault.terminal"])
+    point = operating_point(net, [], 50.0)
+    events = fault_events("fault", begins, clears)
+    return Scene("short_circuit", point.started(), 0.2, 1e-4, events, net.description, restart=4)
+
+
+def inrush(phase: float = -pi / 2.0, *, residual: float = 0.0) -> Scene:
+    """A transformer of 1 MVA, 20/0.4 kV, Dyn11, is energised over a cable, nearly without load: its iron saturates.
+
+    Arguments: phase [rad] of the voltage of phase a; at -pi/2 it rises through zero.  residual [1]: flux of limb a at the start,
+    as a part of the rated peak; b and c share the opposite.
+    """
+    V, S = 20e3, 1e6
+    v, i = V * sqrt(2.0 / 3.0), sqrt(2.0 / 3.0) * S / V
+    left = (residual, -residual / 2.0, -residual / 2.0)
+    unit = two_winding_transformer(S, V, 400.0, r=0.01, x=0.06, group="Dyn11", curve=IRON, linkage0=left)
+    net = Network("inrush", description="a transformer is energised: its iron saturates")
+    net.add("grid", infinite_bus(v, 50.0, phase, i=i))
+    net.add("cable", coupled_line(5.0, 30e-3, v=v, rated=i))
+    net.add("charging", shunt(-20e3, V=V, angle=phase))
+    net.add("unit", unit)
+    net.add("load", load(10e3, V=400.0, kind="series"))
+    net.connect("grid.terminal", "cable.a", name="bus")
+    net.junction("high", ["cable.b", "charging.terminal", "unit.a"])
+    net.junction("low", ["unit.b", "load.terminal"])
+    return Scene("inrush", net, 0.2, 1e-4, (), net.description)
