@@ -16,8 +16,8 @@ from phfmu.components.electrical.breaker import breaker
 from phfmu.components.electrical.capacitors import capacitor_network
 from phfmu.components.electrical.machines.machine_init import ALPHA
 from phfmu.components.electrical.machines.synchronous_machine import synchronous_machine
-from phfmu.components.electrical.resistor import transformer
-from phfmu.components.electrical.rl_line import rl_line
+from phfmu.components.electrical.network.lines import coupled_line
+from phfmu.components.electrical.network.transformers import two_winding_transformer
 from phfmu.components.electrical.rlc_load import rlc_load
 from phfmu.components.electrical.sources import balanced_current_source
 from phfmu.components.electrical.switch import fault_resistor
@@ -30,14 +30,15 @@ from phfmu.operating import PQ, PV, Load, NetworkPoint, Slack, Specification, op
 #: kinds of buses of the table
 LOAD, VOLTAGE, SLACK, ISOLATED = 1, 2, 3, 4
 Plants = Literal["refuse", "currents"]
-SEQUENCES = "zero sequence as positive sequence; phases untransposed parts alike"
+#: zero sequence of lines, of which such files know nothing, as a part of the positive one
+ZERO = 3.0
 
 
 @dataclass(frozen=True)
 class GridModel:
     """The network of a grid, the specifications of its operating point, and the account of the import.
 
-    Junctions bus1 .. bear the numbers of the buses; members line1_2, transformer1_2 with leakage1_2, gen1, plant1, load1
+    Junctions bus1 .. bear the numbers of the buses; members line1_2, transformer1_2, gen1, plant1, load1
     (with the charging of the lines at bus 1, shunt1 where there is no load), reactor1, fault1.  Circuits in parallel, and
     several units at a bus, have their identifiers at the end: gen1_A, line1_2_2.
     """
@@ -62,10 +63,10 @@ class GridModel:
                 out[n] = self.point.magnitude(junction) / (kv[n].kv * 1e3) * np.exp(1j * self.point.angle(junction))
         return out
 
-    def series(self, branch: str) -> str:
-        """The member with the series R and L of a branch (line1_2, transformer1_2), which has its breaker if it has one."""
-        there = {r.members[0]: r.members[-1] for r in self.report.rows if r.kind in ("line", "transformer")}
-        return there[_named(self.grid.name, branch, there)]
+    def branch(self, words: str) -> str:
+        """The member of a line or transformer: line5_7 also of line5-7 and line7-5; GridError for one that is not there."""
+        there = [r.members[0] for r in self.report.rows if r.kind in ("line", "transformer")]
+        return _named(self.grid.name, words, there)
 
     def fault_conductance(self, bus: int, R: float) -> float:
         """The conductance in S of a fault of R [pu] at a bus."""
@@ -78,7 +79,7 @@ def grid_model(
     """The network of a grid, begun flat at the voltages of the table, and what its operating point has to meet.
 
     plants: generators without data of a machine are refused, or constant balanced `currents`, as is a load of negative power
-    faults: buses with a fault resistor, open;  breakers: lines or transformers (line1_2) whose poles can open
+    faults: buses with a fault resistor, open;  breakers: lines (line1_2) whose poles can open
     GridError names what has no part here, and machines without data.
     """
     if plants not in ("refuse", "currents"):
@@ -191,15 +192,9 @@ class _Build:
 
     # -- branches ----------------------------------------------------------------------------------------------------
 
-    def _series(self, name: str, z: complex, a: int, b: int, ratio: float, switched: bool) -> None:
-        """R and L of a branch at bus b, whose other end has the voltage of bus a times `ratio`."""
-        Z = self._impedance(b)
-        R, L = z.real * Z, z.imag * Z / self.omega
-        v, i = self._peak(b), self._current(b)
-        part = breaker(R, L, i=i, v=v) if switched else rl_line(R, L, v=v, rated=i)
-        begun = {f"a.v[{k + 1}]": ratio * x for k, x in enumerate(self._flat(a))}
-        begun |= {f"b.v[{k + 1}]": x for k, x in enumerate(self._flat(b))}
-        self.net.add(name, part.with_starts(begun))
+    def _begun(self, a: int, b: int) -> dict[str, float]:
+        """Voltages that the ends of a branch begin with."""
+        return {f"{end}.v[{k + 1}]": x for end, bus in (("a", a), ("b", b)) for k, x in enumerate(self._flat(bus))}
 
     def _line(self, name: str, line: Line) -> None:
         device = f"line {line.i}-{line.j} '{line.circuit}'"
@@ -211,28 +206,36 @@ class _Build:
             if name in self.breakers:
                 self.problems.append(f"{device}: a series capacitor cannot be tripped; trip the line beside it")
             return
-        self._series(name, complex(line.r, line.x), line.i, line.j, 1.0, name in self.breakers)
+        Z, v, rated = self._impedance(line.j), self._peak(line.j), self._current(line.j)
+        R, L = line.r * Z, line.x * Z / self.omega
+        if name in self.breakers:
+            part = breaker(R, L, i=rated, v=v)
+            assumed = "zero sequence as the positive one; its charging stays at the buses when its poles open"
+        else:
+            part = coupled_line(R, L, R0=ZERO * R, L0=ZERO * L, v=v, rated=rated)
+            assumed = f"r0 = {ZERO:g} r, x0 = {ZERO:g} x, b0 = b"
+        self.net.add(name, part.with_starts(self._begun(line.i, line.j)))
         for bus, end in ((line.i, "a"), (line.j, "b")):
             self.nodes[bus].ends.append(f"{name}.{end}")
-        stays = "; its charging stays at the buses when its poles open" if name in self.breakers else ""
-        self.rows.append(
-            Row("line", device, (name,), "r, x, b", "ratings", f"zero sequence as the positive one{stays}")
-        )
+        self.rows.append(Row("line", device, (name,), "r, x, b", "ratings", assumed))
 
     def _transformer(self, name: str, t: Transformer) -> None:
         device = f"transformer {t.i}-{t.j} '{t.circuit}'"
-        leakage = name.replace("transformer", "leakage")
-        ratio = self.bus[t.j].kv / self.bus[t.i].kv / t.tap
-        self._series(leakage, complex(t.r, t.x), t.i, t.j, ratio, name in self.breakers)
-        v, i = self._peak(t.i), self._current(t.j)
-        self.net.add(name, transformer(ratio, size=3, v=v, i=i))
-        self.net.connect(f"{name}.b", f"{leakage}.a", name=f"inside_{name}")
-        self.nodes[t.i].ends.append(f"{name}.a")
-        self.nodes[t.j].ends.append(f"{leakage}.b")
+        if name in self.breakers:
+            self.problems.append(f"{device}: a transformer cannot be tripped; trip the lines beside it")
+            return
+        Va, Vb = (self.bus[n].kv * 1e3 for n in (t.i, t.j))
+        group = _vector_group(t, Va > Vb)
+        part = two_winding_transformer(
+            self.grid.base * 1e6, Va, Vb, f=self.grid.frequency, r=t.r, x=t.x, group=group, tap=t.tap
+        )
+        self.net.add(name, part.with_starts(self._begun(t.i, t.j)))
+        for bus, end in ((t.i, "a"), (t.j, "b")):
+            self.nodes[bus].ends.append(f"{name}.{end}")
         self._admittance(t.i, t.g, t.b)
-        group = f"vector group {t.group}" if t.group else ""
-        words = "Yy0, zero sequence as the positive one"
-        self.rows.append(Row("transformer", device, (name, leakage), "r, x, ratio", group, words))
+        unused = f"vector group {t.group}, whose hour is not the angle" if t.group and t.group != group else ""
+        assumed = "" if t.group == group else f"vector group {group}"
+        self.rows.append(Row("transformer", device, (name,), "r, x, ratio, angle", unused, assumed))
 
     def _joined_buses(self) -> dict[int, set[int]]:
         """Bus -> buses that series capacitors join to it, itself among them."""
@@ -424,9 +427,29 @@ def _unsound(branch: Line | Transformer) -> str:
         return f"{device}: x = {x:g} pu; a transformer has a positive leakage, give its windings otherwise"
     if r < 0:
         return f"{device}: r = {r:g} pu is negative"
-    if isinstance(branch, Transformer) and abs(branch.shift) > 1e-12:
-        return f"{device}: it shifts the phase by {branch.shift * 180 / pi:g} degrees, and there is no part for it"
+    if isinstance(branch, Transformer) and _hour(branch) is None:
+        degrees = branch.shift * 180 / pi
+        return (
+            f"{device}: it shifts the phase by {degrees:g} degrees, which no vector group does; give 0, 180 or an odd "
+            "multiple of 30"
+        )
     return ""
+
+
+def _hour(t: Transformer) -> int | None:
+    """The hour by which side b lags side a; None for an angle that no vector group has."""
+    hour = t.shift / (pi / 6)
+    near = round(hour)
+    return near % 12 if abs(hour - near) < 1e-6 and near % 12 in (0, 1, 5, 6, 7, 11) else None
+
+
+def _vector_group(t: Transformer, down: bool) -> str:
+    """The group of the file where its hour is the angle; else stars with ground, for odd hours with a delta on the lower side."""
+    hour = _hour(t)
+    own = re.fullmatch(r"(YN|Y|D)(yn|y|d)(\d+)", t.group)
+    if own is not None and int(own[3]) == hour:
+        return t.group
+    return f"YNyn{hour}" if hour in (0, 6) else f"YNd{hour}" if down else f"Dyn{hour}"
 
 
 def _named(grid: str, text: str, there: Collection[str]) -> str:

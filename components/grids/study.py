@@ -1,4 +1,4 @@
-"""Fault studies of grids: a scene that begins in the operating point, with faults at buses and branches that trip."""
+"""Fault studies of grids: a scene that begins in the operating point, with faults at buses and lines that trip."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Fault:
 
 @dataclass(frozen=True)
 class Trip:
-    """A line or transformer whose poles open at their next current zeros from `t` [s] on.
+    """A line whose poles open at their next current zeros from `t` [s] on.
 
     None: from the end of the first fault on.
     """
@@ -78,7 +78,7 @@ def grid_scene(
     model = grid_model(grid, plants=plants, faults=buses, breakers=[t.branch for t in trips])
     events = [e for f in faults for e in _events(model, f)]
     events += [
-        Event(min(ends) if t.t is None else t.t, f"{model.series(t.branch)}.command", 0.0)
+        Event(min(ends) if t.t is None else t.t, f"{model.branch(t.branch)}.command", 0.0)
         for t in trips
     ]  # fmt: skip
     net = model.point.started()

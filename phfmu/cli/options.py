@@ -50,8 +50,8 @@ def add_grid(parser: argparse.ArgumentParser) -> None:
                         help="dynamic data of a grid: .dyr, .xlsx, or .csv tables (a folder, 'DIR/a_*.csv')")  # fmt: skip
     parser.add_argument("--fault", action="append", default=[], metavar="BUS:BEGIN:END[:R]",
                         help="three-phase fault of a grid, bus7:0.1:0.18, R in per unit (0.001); may be repeated")  # fmt: skip
-    parser.add_argument("--trip", action="append", default=[], metavar="BRANCH[:TIME]",
-                        help="line or transformer of a grid whose poles open at their next current zeros, line5-7:0.18 (default: "
+    parser.add_argument("--trip", action="append", default=[], metavar="LINE[:TIME]",
+                        help="line of a grid whose poles open at their next current zeros, line5-7:0.18 (default: "
                         "when the first fault ends); may be repeated")  # fmt: skip
     parser.add_argument("--plants", choices=("refuse", "currents"),
                         help="generators of a grid without dynamic data: refused (default), or constant currents")  # fmt: skip

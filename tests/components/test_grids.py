@@ -127,6 +127,25 @@ def test_shunts_reactors_ends_and_negative_loads_are_in_the_balance() -> None:
     assert "reactor3" in m.network.members and "conductance2" in m.network.members
 
 
+@pytest.mark.parametrize(
+    ("degrees", "group"), [(30, "YNd1"), (-30, "YNd11"), (180, "YNyn6"), (150, "YNd5"), (0, "Dyn11")]
+)
+def test_angles_of_transformers_are_vector_groups(degrees: float, group: str) -> None:
+    """The machine behind one turns with it; a group of the file counts where its hour is the angle."""
+    grid = lattice(9)
+    t = replace(
+        grid.transformers[0],
+        i=grid.transformers[0].j,
+        j=grid.transformers[0].i,
+        shift=degrees * pi / 180,
+        group="Dyn11",
+    )
+    m = grid_model(replace(grid, transformers=(t,)))
+    assert mismatch(m) < 1e-9
+    row = m.report.of(f"transformer{t.i}_{t.j}")
+    assert (f"vector group {group}" in row.assumed) == bool(degrees) and "Dyn11" in row.unused
+
+
 def test_series_capacitors_are_exact() -> None:
     """Series capacitors beside lines with charging: capacitors in a loop, whose charges are those of one part."""
     grid = lattice(30)
