@@ -25,7 +25,7 @@ def island(step: float = 0.1, t_step: float = 0.5, *, stop: float = 5.0) -> Scen
 
     Members gen (555 MVA, 24 kV), meter, avr (SEXS), pss (PSS1A), gov (TGOV1), line (X = 0.1), house and town (loads of 0.2 and 0.5
     per unit), more (what is switched on).  The exciter sets the voltage of the field, the governor the torque of the shaft:
-    signals, whose work is booked at gen.field and gen.shaft.  All begin in the operating point.
+    signals, whose work is booked at gen.field_source and gen.shaft_source.  All begin in the operating point.
     The frequency comes to rest near 60 (1 - R dP) Hz, R = 0.05 the droop of the governor.
     """
     net = _island().started()

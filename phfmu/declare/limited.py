@@ -31,8 +31,9 @@ def limited(
         x' = (1 - m^2) rate,    m = 1 at hi, -1 at lo, 0 between
 
     The mode is `<state>_at`; the events are `<state>_hits_max`, `<state>_hits_min`, `<state>_leaves_max`,
-    `<state>_leaves_min`.  `lo`, `hi`: numbers or expressions of parameters (a limit that moves does not push the state),
-    None: not limited there;  `nominal` [unit]: typical magnitude of the state;  `seconds` [s]: its time constant, for that of the rate.
+    `<state>_leaves_min`.  `lo`, `hi`: numbers or expressions of parameters (a limit that moves does not push the
+    state), None: not limited there;  `nominal` [unit]: typical magnitude of the state;  `seconds` [s]: its time
+    constant, for that of the rate.
     """
     x, slope, name = state.sx, ca.SX(_sx(rate)), state.name
     m = _mode(f"{name}_at", f"{name}: 1 at its upper limit, -1 at its lower one")

@@ -23,7 +23,7 @@ from phfmu.declare.coefficients import coefficient
 from phfmu.declare.event import StateEvent
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import SIGNAL, Given, Port
-from phfmu.declare.signal import driven, signal_input
+from phfmu.declare.signal import driven, signal_input, signal_output
 from phfmu.declare.switch import Switch
 from phfmu.declare.variable import Variable, _sx
 from phfmu.network.junction import ConnectionError
@@ -78,7 +78,10 @@ def fed(model: PHDAE, values: Mapping[str, ca.SX]) -> PHDAE:
 
 
 def following(model: PHDAE, port: Port) -> PHDAE:
-    """`model` with a source in the place of a free port: it follows a signal input of the name of the port's input."""
+    """`model` with a source in the place of a free port: it follows a signal input of the name of the port's input.
+
+    The source is the port `<port>_source`, which books its work; the port's output is an observable of the same name.
+    """
     name = port.input_names()[0].partition("[")[0]
     start = port.input_starts() if port.size is not None else port.input_starts()[0]
     text = port.description or f"input of port {port.name}"
@@ -89,8 +92,14 @@ def following(model: PHDAE, port: Port) -> PHDAE:
         raise ConnectionError(
             f"signal input {name}", f"port {port.name} {reason}", "join a source to it that a signal sets"
         )
-    new = model.mapped(lambda v: v, lambda p: replace(p, source=command.sx) if p is port else p)
-    return replace(new, parameters=(*new.parameters, command))
+    told = port.output_names()[0].partition("[")[0]
+    found = signal_output(told, outputs(model)[told].expr, unit=port.output_unit, description=f"output of {port.name}")
+
+    def put(p: Port) -> Port:
+        return replace(p, name=f"{p.name}_source", source=command.sx) if p is port else p
+
+    new = model.mapped(lambda v: v, put)
+    return replace(new, parameters=(*new.parameters, command), observables=(*new.observables, found))
 
 
 def with_signal_ports(model: PHDAE, taken: Collection[str], sent: Collection[str]) -> PHDAE:
