@@ -17,6 +17,7 @@ from phfmu.declare.event import Guard as Guard
 from phfmu.declare.event import Jump as Jump
 from phfmu.declare.event import StateEvent as StateEvent
 from phfmu.declare.holonomic import Holonomic as Holonomic
+from phfmu.declare.limited import Limit as Limit
 from phfmu.declare.limited import clipped as clipped
 from phfmu.declare.limited import lesser as lesser
 from phfmu.declare.limited import limited as limited

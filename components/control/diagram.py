@@ -13,6 +13,7 @@ import casadi as ca
 
 from phfmu import (
     PHDAE,
+    Limit,
     Observable,
     StateEvent,
     Variable,
@@ -24,7 +25,6 @@ from phfmu import (
     signal_input,
     state,
 )
-from phfmu.declare.limited import Limit
 
 
 class Diagram:

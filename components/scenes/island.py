@@ -8,6 +8,7 @@ from math import pi, sqrt
 
 from phfmu import Event, Network, Scene
 from phfmu.components.control import bases, meter, pss1a, sexs, tgov1
+from phfmu.components.electrical.breaker import clearing_fault
 from phfmu.components.electrical.infinite_bus import infinite_bus
 from phfmu.components.electrical.machines.machine_data import MachineData, machine_set
 from phfmu.components.electrical.machines.machine_init import ALPHA
@@ -41,11 +42,12 @@ def smib_exciter(EMAX: float = 3.0, *, t_fault: float = 0.1, t_clear: float = 0.
     Arguments: EMAX, limit of the field voltage in per unit; t_fault, t_clear [s]; stop [s]
 
     SEXS with K = 200, TE = 0.02 s: Efd rises to EMAX, stays at exactly that value, and leaves when the voltage is back.
+    The fault, 0.1 and 0.05 per unit in each phase, clears at its current zeros; the machine's bus has a cable of 0.05 per unit.
     """
     net = _at_grid(EMAX).started()
     net.description = "machine with exciter and governor at a stiff grid; fault until the exciter is at its limit"
     _, Z = _data()
-    events = (Event(t_fault, "fault.G", 10.0 / Z), Event(t_clear, "fault.G", 0.0))
+    events = (Event(t_fault, "fault.command", 1.0), Event(t_clear, "fault.command", 0.0))
     return Scene("smib_exciter", net, stop=stop, step=1e-4, events=events, description=net.description)
 
 
@@ -108,8 +110,8 @@ def _at_grid(EMAX: float) -> NetworkPoint:
     net.add("line", rl_line(0.02 * Z, 0.3 * Z / w, v=v, rated=i))
     net.add("grid", infinite_bus(v, data.fn, i=i))
     net.add("cable", rlc_load(C=0.05 / Z / w, v=_lagging(1j * v), nominal=v))
-    net.add("fault", fault_resistor(nominal=v))
-    net.junction("bus1", [*ends, "line.a", "cable.terminal", "fault.terminal"])
+    net.add("fault", clearing_fault(0.1 * Z, 0.05 * Z / w, i=i, v=v))
+    net.junction("bus1", [*ends, "line.a", "cable.terminal", "fault.a"])
     net.junction("bus2", ["line.b", "grid.terminal"])
     plant = PV("gen.terminal", P=0.8 * data.Sn, V=1.02 * data.Vn_rms_ll, free=("avr.Vref", "gov.Pref"))
     return operating_point(net, [plant], data.fn)

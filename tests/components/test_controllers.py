@@ -13,6 +13,7 @@ from scipy.signal import TransferFunction, step
 from phfmu import (
     PHDAE,
     Event,
+    FMUInstance,
     Monolithic,
     NativeInstance,
     Network,
@@ -21,6 +22,7 @@ from phfmu import (
     build_model,
     default_scheme,
     driven,
+    export,
     limited,
     parameter,
     run,
@@ -206,6 +208,27 @@ def test_data_that_no_diagram_has_are_refused(wrong):
 
 
 # -- in networks -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("version", ["2.0", "3.0"])
+def test_an_exported_exciter_meets_and_leaves_its_limit_as_the_model_does(tmp_path, version):
+    """Vref rises for 0.3 s, in the unit V falls as much: Efd stops at 3 in both, and the same values after the limit."""
+    model = rested(sexs(Vref=1.01, EMAX=3.0))
+    events = (Event(0.05, "Vref", 1.2), Event(0.35, "Vref", 1.0))
+    found = ran(model, 2, 0.8, 0.01, events)
+    made = export(build_model(model), tmp_path, step=0.01, ledger_outputs=False, versions=(version,))
+    with FMUInstance(made[0]) as unit:
+        at = []
+        for k in range(80):
+            if k in (5, 35):
+                unit.set({"V": 1.0 - (0.19 if k == 5 else -0.01)})
+            unit.do_step(k * 0.01, 0.01)
+            at.append(unit.get(["Efd_pu"])[0])
+    t, Efd = found.time, found.column("Efd_pu")
+    exact = [Efd[np.abs(t - 0.01 * (k + 1)).argmin()] for k in range(80)]
+    inside = [k for k in range(80) if k not in (4, 34)]
+    np.testing.assert_allclose(np.array(at)[inside], np.array(exact)[inside], rtol=1e-9)
+    assert max(at) == pytest.approx(3.0, abs=1e-14)
 
 
 @pytest.mark.parametrize("order", wide([2, 4, 6], 4))

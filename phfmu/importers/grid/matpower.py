@@ -69,9 +69,7 @@ def _grid(
     return _table(name, base, frequency, bus.tolist(), branch.tolist(), gen.tolist(), unused)
 
 
-def _table(
-    name: str, base: float, frequency: float, bus: Rows, branch: Rows, gen: Rows, unused: Sequence[str]
-) -> Grid:
+def _table(name: str, base: float, frequency: float, bus: Rows, branch: Rows, gen: Rows, unused: Sequence[str]) -> Grid:
     kv = {int(r[0]): r[9] or 1.0 for r in bus}
     missing = sorted({int(b) for r in branch for b in r[:2]} - set(kv))
     if missing:
