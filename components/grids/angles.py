@@ -53,5 +53,5 @@ def angles(grid: Grid, buses: Iterable[int], branches: Branches) -> dict[int, fl
     kept = np.array([k for n, k in place.items() if n != grid.slack.number], int)
     theta = np.zeros(len(place))
     if len(kept):
-        theta[kept] = spsolve(B[kept][:, kept].tocsc(), power[kept])
+        theta[kept] = np.asarray(spsolve(B[kept][:, kept].tocsc(), power[kept]))
     return {n: float(theta[k] + grid.slack.va) for n, k in place.items()}

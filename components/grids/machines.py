@@ -22,7 +22,7 @@ DROPPED: Mapping[str, str] = {
 def machine_of(name: str, unit: Generator, data: Dynamics, kv: float, frequency: float) -> MachineData:
     """The machine set of a unit; GridError names bus, unit and what contradicts itself."""
     where = f"bus {unit.bus}, machine '{unit.id}' ({data.where})"
-    given = {k: v for k, v in data.values.items() if k not in DROPPED}
+    given: dict[str, Any] = {k: v for k, v in data.values.items() if k not in DROPPED}
     given.setdefault("ra", unit.r)
     if data.model == "GENCLS":
         given["xd1"] = unit.x

@@ -124,7 +124,10 @@ class _Build:
     def model(self) -> GridModel:
         """All parts in the order in which a step's equations are read best: branches, buses, units."""
         for name, branch in self.branches.items():
-            (self._line if isinstance(branch, Line) else self._transformer)(name, branch)
+            if isinstance(branch, Line):
+                self._line(name, branch)
+            else:
+                self._transformer(name, branch)
         for shunt in self.grid.shunts:
             if shunt.on and shunt.bus in self.nodes:
                 self._admittance(shunt.bus, shunt.g / self.grid.base, shunt.b / self.grid.base)

@@ -26,12 +26,14 @@ def read_matpower(path: str | PathLike[str], *, frequency: float = 60.0) -> Grid
     if not file.is_file():
         raise GridError(str(path), ["there is no such file"])
     try:
-        case = CaseFrames(str(file))
-        rows = [np.asarray(getattr(case, name), float) for name in ("bus", "branch", "gen")]
+        case: Any = CaseFrames(str(file))
+        bus, branch, gen = (np.asarray(getattr(case, name), float) for name in ("bus", "branch", "gen"))
     except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
         raise GridError(file.name, [f"it is no case of MATPOWER with bus, branch and gen ({error})"]) from None
     dc = getattr(case, "dcline", None)
-    return _grid(file.stem, float(case.baseMVA), frequency, *rows, [] if dc is None else [f"{len(dc)} DC lines"])
+    return _grid(
+        file.stem, float(case.baseMVA), frequency, bus, branch, gen, [] if dc is None else [f"{len(dc)} DC lines"]
+    )
 
 
 def from_pandapower(net: Any, *, trafo_model: str = "pi") -> Grid:

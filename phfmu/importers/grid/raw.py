@@ -10,6 +10,7 @@ from itertools import islice
 from math import radians
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
 from phfmu.importers.grid.table import (
     ISOLATED,
@@ -59,7 +60,7 @@ class Record:
     def integer(self, k: int, default: int | None = None) -> int:
         return self._as(int, k, default)
 
-    def _as(self, kind: Callable[[str], float], k: int, default: float | None):
+    def _as(self, kind: Callable[[str], Any], k: int, default: Any) -> Any:
         text = self.text(k)
         if not text and default is not None:
             return default
