@@ -24,21 +24,25 @@ def apart(grid: Grid, buses: Iterable[int], branches: Branches) -> list[int]:
 
 
 def angles(grid: Grid, buses: Iterable[int], branches: Branches) -> dict[int, float]:
-    """Angles [rad] of the voltages by bus: P = B theta with the reactances of the branches alone, the slack bus takes the rest.
+    """Angles [rad] of the voltages by bus: P = B theta with the reactances of the branches alone.
 
+    The losses, which are what the powers leave over, are taken in proportion to the loads.
     Newton's method for the operating point begins with these, since flat angles lead it astray in large grids.
     """
     place = {n: k for k, n in enumerate(buses)}
-    power = np.zeros(len(place))
+    power, demand = np.zeros(len(place)), np.zeros(len(place))
     for g in grid.generators:
         if g.on and g.bus in place:
             power[place[g.bus]] += g.p
     for d in grid.demands:
         if d.on and d.bus in place:
+            demand[place[d.bus]] += max(d.p + d.ip + d.yp, 0.0)
             power[place[d.bus]] -= d.p + d.ip + d.yp
     for s in grid.shunts:
         if s.on and s.bus in place:
             power[place[s.bus]] -= s.g
+    if demand.any():
+        power -= power.sum() * demand / demand.sum()
     power /= grid.base
     rows: list[tuple[int, int, float]] = []
     for b in branches:
