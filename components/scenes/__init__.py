@@ -9,6 +9,7 @@ from phfmu.components.scenes.drive import drive
 from phfmu.components.scenes.island import island, smib_exciter
 from phfmu.components.scenes.ladder import ladder
 from phfmu.components.scenes.motor_start import motor_start
+from phfmu.components.scenes.network_events import inrush, short_circuit
 from phfmu.components.scenes.oscillator import oscillator
 from phfmu.components.scenes.rectifier import rectifier, six_pulse
 from phfmu.components.scenes.smib import smib, smib_breaker, smib_folded, smib_hydro
@@ -27,11 +28,13 @@ __all__ = [
     "clutch_engagement",
     "drive",
     "hard_stop",
+    "inrush",
     "island",
     "ladder",
     "motor_start",
     "oscillator",
     "rectifier",
+    "short_circuit",
     "six_pulse",
     "smib",
     "smib_breaker",

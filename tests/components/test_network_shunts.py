@@ -152,7 +152,7 @@ def test_faults_that_are_none_are_refused(wrong):
 
 def test_ground_resistance_is_shared_by_the_faulted_phases():
     unit = PythonInstance(build_model(fault("abg", 2.0, Rg=3.0), Collocated(1)))
-    unit.set_parameters([1.0])
+    unit.set_parameters([1.0, 2.0, 3.0])
     unit.set_input(np.array([8.0, 8.0, 5.0]))
     assert unit.signals()["y_end"] == pytest.approx([1.0, 1.0, 0.0])
 

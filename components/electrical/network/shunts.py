@@ -23,7 +23,7 @@ def fault(kind: str = "abcg", R: float = 0.05, *, Rg: float = 0.0, nominal: floa
 
     H:  0;  R: on Y on the port (feedthrough)
     ports:       terminal: voltages given, currents INTO the fault out
-    parameters:  on: 0 no fault, 1 the fault
+    parameters:  on: 0 no fault, 1 the fault;  R, Rg [ohm], Rg where it is given
     `kind`: faulted phases, and g: abcg, abc, ab, bc, ca, abg, bcg, cag, ag, bg, cg;  R, Rg [ohm];  `nominal`: voltage [V]
     ValueError for another kind, R <= 0, Rg < 0, an Rg without g.
     """
@@ -37,18 +37,26 @@ def fault(kind: str = "abcg", R: float = 0.05, *, Rg: float = 0.0, nominal: floa
         raise ValueError(
             f"fault: kind = {kind}, R = {R:g} ohm must be positive and Rg = {Rg:g} ohm not negative, with g in the kind"
         )
-    g = np.array([(p in hit) / R for p in "abc"])
-    Y = np.diag(g)
-    if not ground or Rg:
-        Y = Y - np.outer(g, g) / (g.sum() + (1.0 / Rg if ground else 0.0))
+    resistance = parameter(
+        "R", R, unit="ohm", positive=True, description="from each faulted phase to the point of the fault"
+    )
+    to_ground = (
+        parameter("Rg", Rg, unit="ohm", positive=True, description="from the point of the fault to ground")
+        if Rg
+        else None
+    )
     on = parameter("on", 0.0, min=0.0, max=1.0, description="0 no fault, 1 the fault")
+    g = ca.DM([p in hit for p in "abc"]) / resistance.sx
+    Y = ca.diag(g)
+    if to_ground is not None or not ground:
+        Y = Y - g @ g.T / (ca.sum1(g) + (0 if to_ground is None else 1 / to_ground))
     terminal = Port(
         "terminal", ELECTRICAL, "effort", {}, size=3, nominal=nominal, description="into the fault", elements=PHASES
     )
     return PHDAE(
         "fault",
-        parameters=(on,),
-        dissipation=(block((terminal,), on.sx * ca.DM(Y)),),
+        parameters=(on, resistance, *(() if to_ground is None else (to_ground,))),
+        dissipation=(block((terminal,), on.sx * Y),),
         ports=(terminal,),
         description=f"fault {kind}, switched by events",
     )
