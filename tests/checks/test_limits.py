@@ -84,6 +84,7 @@ def test_every_parameter_of_the_library_that_must_be_positive_says_so(name):
         "phase",
         "amplitude",
         "omega",
+        "Q",
         "M",
         "n",
         "k",

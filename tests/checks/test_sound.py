@@ -32,9 +32,15 @@ from tests.checks.models import holonomic, oscillator, resistive, rules, source,
 # -- sound models ---
 
 #: arguments of library functions whose required arguments are not just numbers, or that need at least one
-ARGUMENTS = {"rlc_load": ({"R": 2.0}, {"L": 0.1}, {"C": 1e-3}, {"R": 2.0, "L": 0.1, "C": 1e-3}),
-             "synchronous_machine": tuple({"coordinates": c} for c in ("dq-flux", "abc-flux", "current")),
-             "mass": ({}, {"k": 2.0, "d": 0.1}), "spring": ({}, {"d": 0.1})}  # fmt: skip
+ARGUMENTS = {
+    "load": ({"P": 1.0, "V": 1.0},),
+    "shunt": ({"Q": 1.0, "V": 1.0},),
+    "capacitor_bank": ({"Q": 1.0, "V": 1.0},),
+    "constant_power_load": ({"P": 1.0, "V": 1.0},),
+    "saturating_reactor": ({"points": ((1.0, 0.1), (1.2, 1.0))},),
+    "rlc_load": ({"R": 2.0}, {"L": 0.1}, {"C": 1e-3}, {"R": 2.0, "L": 0.1, "C": 1e-3}),
+    "synchronous_machine": tuple({"coordinates": c} for c in ("dq-flux", "abc-flux", "current")),
+    "mass": ({}, {"k": 2.0, "d": 0.1}), "spring": ({}, {"d": 0.1})}  # fmt: skip
 
 
 def library() -> list[tuple[str, Any]]:

@@ -81,9 +81,9 @@ def _series(part: str, R: float, L: float, R0: float | None, L0: float | None, r
     R0, L0 = R if R0 is None else R0, L if L0 is None else L0
     require_sequences(part, "L", "H", L, L0)
     require_sequences(part, "R", "ohm", R, R0, "not negative")
-    r = parameter("R", R, unit="ohm", description="positive-sequence resistance")
+    r = parameter("R", R, unit="ohm", min=0.0, description="positive-sequence resistance")
     l = parameter("L", L, unit="H", positive=True, description="positive-sequence inductance")
-    r0 = parameter("R0", R0, unit="ohm", description="zero-sequence resistance")
+    r0 = parameter("R0", R0, unit="ohm", min=0.0, description="zero-sequence resistance")
     l0 = parameter("L0", L0, unit="H", positive=True, description="zero-sequence inductance")
     flux = state(
         "flux", 3, unit="Wb", nominal=max(L, L0) * rated, description="flux per phase, a to b", elements=PHASES

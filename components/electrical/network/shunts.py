@@ -85,7 +85,7 @@ def surge_arrester(V: float, I: float = 1e3, alpha: float = 25.0, *, size: int |
         raise ValueError(f"surge_arrester: V = {V:g} V and I = {I:g} A must be positive, alpha = {alpha:g} at least 1")
     volt = parameter("V", V, unit="V", positive=True, description="voltage at the current I")
     current = parameter("I", I, unit="A", positive=True, description="current at the voltage V")
-    exponent = parameter("alpha", alpha, unit="1", min=1.0, description="exponent of the characteristic")
+    exponent = parameter("alpha", alpha, unit="1", positive=True, description="exponent of the characteristic")
     terminal = Port("terminal", ELECTRICAL, "effort", {}, size=size, nominal=V, description="into the arrester")
     conductance = current / volt * ca.fabs(terminal.u / volt) ** (exponent - 1)
     return PHDAE(

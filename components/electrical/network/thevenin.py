@@ -29,7 +29,8 @@ def thevenin_source(
     H:  i^T L_abc i/2;  J: 0;  R: R_abc
     states:      flux (3) [Wb]
     ports:       terminal: voltages given, currents INTO the source out;  source: fed from inside, its energy is the work of e
-    parameters:  E [V] (peak, phase to ground), omega [rad/s], angle [rad];  R, R0 [ohm], L, L0 [H]: positive and zero sequence
+    parameters:  amplitude E [V] (peak, phase to ground), omega [rad/s], phase [rad]
+                 R, R0 [ohm], L, L0 [H]: positive and zero sequence
     observables: i (3), the current into the source
     V [V rms, line to line], S_sc [VA] three-phase short-circuit power, f [Hz], `x_r`: X/R, `zero`: Z0/Z, `rated`: current [A]
     ValueError for values that are not positive.
@@ -43,13 +44,13 @@ def thevenin_source(
     R, L = Z / hypot(1.0, x_r), Z * x_r / hypot(1.0, x_r) / w
     require_sequences("thevenin_source", "L", "H", L, zero * L)
     e = V * sqrt(2.0 / 3.0)
-    r = parameter("R", R, unit="ohm", description="positive-sequence resistance")
+    r = parameter("R", R, unit="ohm", min=0.0, description="positive-sequence resistance")
     l = parameter("L", L, unit="H", positive=True, description="positive-sequence inductance")
-    r0 = parameter("R0", zero * R, unit="ohm", description="zero-sequence resistance")
+    r0 = parameter("R0", zero * R, unit="ohm", min=0.0, description="zero-sequence resistance")
     l0 = parameter("L0", zero * L, unit="H", positive=True, description="zero-sequence inductance")
-    amplitude = parameter("E", e, unit="V", description="peak phase voltage")
+    amplitude = parameter("amplitude", e, unit="V", description="peak phase voltage")
     omega = parameter("omega", w, unit="rad/s", description="angular frequency")
-    phi = parameter("angle", angle, unit="rad", description="angle of phase a at t = 0")
+    phi = parameter("phase", angle, unit="rad", description="angle of phase a at t = 0")
     typical = rated or 0.1 * e / Z
     flux = state("flux", 3, unit="Wb", nominal=L * typical, description="flux per phase", elements=PHASES)
     turn = omega * time + phi.sx

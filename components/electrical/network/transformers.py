@@ -76,7 +76,7 @@ def two_winding_transformer(
     R:  R on each limb, G_m W_a^T W_a/(tap n)^2 as feedthrough of a
     states:      flux (3) [Wb] of the leakage, linkage (3) [Wb] of the core with i0; both as seen from side b
     ports:       a, b: voltages given, currents INTO the transformer out
-    parameters:  R [ohm], L [H] of the leakage, L_m [H] and G_m [S] of the core, as seen from side b;  n, tap [1]
+    parameters:  R [ohm], L [H] of the leakage, L_m [H] and G_m [S] of the core, as seen from side b;  ratio n, tap [1]
     observables: i (3), the current through the limbs, counted from a to b;  i_m (3), that of the core with i0
     Sn [VA];  Va, Vb [V rms, line to line]: rated;  f [Hz];  r, x, i0, p0 [1]: series resistance, leakage, no-load
     current and no-load loss in per unit of Sn, Vb;  `tap`: turns of side a as a part of the rated ones, tunable.
@@ -104,7 +104,7 @@ def two_winding_transformer(
     peak, rated = Vb * sqrt(2.0 / 3.0), sqrt(2.0 / 3.0) * Sn / Vb
     resistance = parameter("R", r * Z, unit="ohm", description="resistance per limb, seen from side b")
     leakage = parameter("L", x * Z / w, unit="H", positive=True, description="leakage per limb, seen from side b")
-    ratio = parameter("n", Va / Vb, unit="1", positive=True, description="rated ratio Va / Vb")
+    ratio = parameter("ratio", Va / Vb, unit="1", positive=True, description="rated ratio Va / Vb")
     position = parameter("tap", tap, unit="1", positive=True, description="turns of side a, relative to the rated ones")
     seen = left / (ratio * position)
     flux = state(
@@ -172,7 +172,7 @@ def two_winding_transformer(
     )
     lost = (damping(flux, resistance),)
     if p0:
-        core = parameter("G_m", p0 / Z, unit="S", description="conductance of the losses of the core")
+        core = parameter("G_m", p0 / Z, unit="S", min=0.0, description="conductance of the losses of the core")
         more["parameters"] += (core,)
         lost += (block((a,), core.sx * seen.T @ seen),)
     return PHDAE(
