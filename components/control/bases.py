@@ -25,6 +25,10 @@ class Bases:
     Ibase: float = 1.0
 
 
+#: signals in per unit
+PER_UNIT = Bases()
+
+
 def bases(data: MachineData, Sn: float | None = None) -> Bases:
     """The bases of a machine; `Sn` [VA]: of the turbine where it differs from the machine's."""
     speed = data.omega / data.pole_pairs

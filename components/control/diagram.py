@@ -26,6 +26,9 @@ from phfmu import (
     state,
 )
 
+#: parameters without unit that are positive: permanent and temporary droop
+POSITIVE = ("R", "r")
+
 
 class Diagram:
     """A controller in the making; `declaration` ends it.  H = 0: its states have no energy, and it does no work."""
@@ -38,10 +41,15 @@ class Diagram:
         self.events: list[StateEvent] = []
         self.values: dict[str, float] = {}
 
-    def parameter(self, name: str, value: float, description: str = "", *, unit: str = "1") -> ca.SX:
-        """A parameter by its standard name."""
+    def parameter(
+        self, name: str, value: float, description: str = "", *, unit: str = "1", positive: bool = False
+    ) -> ca.SX:
+        """A parameter by its standard name; times, droops and bases are positive."""
         self.values[name] = float(value)
-        made = parameter(name, value, unit=unit, description=description)
+        least = 0.0 if unit == "s" and not value else None
+        made = parameter(
+            name, value, unit=unit, min=least, positive=positive and least is None, description=description
+        )
         self.parameters.append(made)
         return made.sx
 
@@ -50,7 +58,10 @@ class Diagram:
         wrong = [f"{n} = {given[n]:g} s" for n in seconds if not given[n] >= 0]
         if wrong:
             raise ValueError(f"{self.name}: times must not be negative: {', '.join(wrong)}")
-        return {n: self.parameter(n, v, unit="s" if n in seconds else "1") for n, v in given.items()}
+        return {
+            n: self.parameter(n, v, unit="s" if n in seconds else "1", positive=n in (*seconds, *POSITIVE))
+            for n, v in given.items()
+        }
 
     def time(self, name: str, value: float) -> str:
         """A single time constant; its name, by which blocks take it."""
@@ -95,7 +106,9 @@ class Diagram:
         """u (1 + s T1)/(1 + s T2); ValueError for T2 = 0 with another T1."""
         if not self.values[T2]:
             if self.values[T1]:
-                raise ValueError(f"{self.name}: {T1} = {self.values[T1]:g} s needs {T2} > 0: its output would be a derivative")
+                raise ValueError(
+                    f"{self.name}: {T1} = {self.values[T1]:g} s needs {T2} > 0: its output would be a derivative"
+                )
             return ca.SX(u)
         x = self.state(name)
         self.drive(x, (u - x.sx) / self._of(T2))
@@ -118,7 +131,9 @@ class Diagram:
         ValueError where the numerator is of higher order.
         """
         if len(num) > order + 1:
-            raise ValueError(f"{self.name}: the numerator of {name} is of order {len(num) - 1}, its denominator of {order}")
+            raise ValueError(
+                f"{self.name}: the numerator of {name} is of order {len(num) - 1}, its denominator of {order}"
+            )
         if not order:
             return num[0] / den[0] * u
         x = [self.state(f"{name}{k + 1}") for k in range(order)]

@@ -8,13 +8,13 @@ from typing import Any
 import casadi as ca
 
 from phfmu import PHDAE, signal_output
-from phfmu.components.control.bases import Bases
+from phfmu.components.control.bases import PER_UNIT, Bases
 from phfmu.components.control.diagram import Diagram
 
 
 def sexs(
     *, TA: float = 1.0, TB: float = 10.0, K: float = 100.0, TE: float = 0.05, EMIN: float = 0.0, EMAX: float = 4.0,
-    Vref: float = 1.01, base: Bases = Bases(),
+    Vref: float = 1.01, base: Bases = PER_UNIT,
 ) -> PHDAE:  # fmt: skip
     """SEXS, the simplified excitation system.
 
@@ -37,7 +37,7 @@ def exac1(
     *, TR: float = 0.0, TB: float = 0.0, TC: float = 0.0, KA: float = 400.0, TA: float = 0.02, VRMAX: float = 6.03,
     VRMIN: float = -5.43, TE: float = 0.8, KF: float = 0.03, TF: float = 1.0, KC: float = 0.2, KD: float = 0.38,
     KE: float = 1.0, E1: float = 4.18, SE1: float = 0.1, E2: float = 3.14, SE2: float = 0.03, Vref: float = 1.01,
-    base: Bases = Bases(),
+    base: Bases = PER_UNIT,
 ) -> PHDAE:  # fmt: skip
     """EXAC1, the rotating AC exciter with diode rectifiers (AC1A without limits at its gates).
 
@@ -58,7 +58,9 @@ def exac1(
     p = d.data(given, ("TR", "TB", "TC", "TA", "TE", "TF"))
     if not TE > 0:
         raise ValueError(f"exac1: TE = {TE:g} s must be positive")
-    current = d.input("Ifd", base.Ibase, "field current", unit="A") / d.parameter("Ibase", base.Ibase, unit="A")
+    current = d.input("Ifd", base.Ibase, "field current", unit="A") / d.parameter(
+        "Ibase", base.Ibase, unit="A", positive=True
+    )
     VE = d.state("VE", 1.0, "voltage behind the commutating reactance")
     VFE = (p["KE"] + saturation(d, E1, SE1, E2, SE2, VE.sx)) * VE.sx + p["KD"] * current
     VF = d.feedback("rate", VFE, p["KF"], "TF")
@@ -71,7 +73,7 @@ def exac1(
 def ieeex1(
     *, TR: float = 0.0, KA: float = 40.0, TA: float = 0.1, TB: float = 0.0, TC: float = 0.0, VRMAX: float = 7.3,
     VRMIN: float = -7.3, KE: float = 1.0, TE: float = 0.8, KF: float = 0.03, TF1: float = 1.0, E1: float = 3.0,
-    SE1: float = 0.03, E2: float = 4.0, SE2: float = 0.1, Vref: float = 1.01, base: Bases = Bases(),
+    SE1: float = 0.03, E2: float = 4.0, SE2: float = 0.1, Vref: float = 1.01, base: Bases = PER_UNIT,
 ) -> PHDAE:  # fmt: skip
     """IEEEX1, the DC commutator exciter (DC1A).
 
@@ -102,7 +104,7 @@ def st1a(
     *, TR: float = 0.0, VIMAX: float = 999.0, VIMIN: float = -999.0, TC: float = 1.0, TB: float = 10.0, TC1: float = 0.0,
     TB1: float = 0.0, KA: float = 190.0, TA: float = 0.02, VAMAX: float = 14.5, VAMIN: float = -14.5, VRMAX: float = 7.8,
     VRMIN: float = -6.7, KC: float = 0.08, KF: float = 0.0, TF: float = 1.0, KLR: float = 0.0, ILR: float = 0.0,
-    Vref: float = 1.01, base: Bases = Bases(),
+    Vref: float = 1.01, base: Bases = PER_UNIT,
 ) -> PHDAE:  # fmt: skip
     """ST1A, the potential-source controlled rectifier.
 
@@ -120,7 +122,9 @@ def st1a(
     given = {"TR": TR, "VIMAX": VIMAX, "VIMIN": VIMIN, "TC": TC, "TB": TB, "TC1": TC1, "TB1": TB1, "KA": KA, "TA": TA,
              "VAMAX": VAMAX, "VAMIN": VAMIN, "VRMAX": VRMAX, "VRMIN": VRMIN, "KC": KC}  # fmt: skip
     p = d.data(given, ("TR", "TC", "TB", "TC1", "TB1", "TA"))
-    current = d.input("Ifd", base.Ibase, "field current", unit="A") / d.parameter("Ibase", base.Ibase, unit="A")
+    current = d.input("Ifd", base.Ibase, "field current", unit="A") / d.parameter(
+        "Ibase", base.Ibase, unit="A", positive=True
+    )
     limits = (p["VAMIN"], p["VAMAX"])
     over: Any = 0.0
     if KLR:
@@ -162,7 +166,9 @@ def saturation(d: Diagram, E1: float, SE1: float, E2: float, SE2: float, E: ca.S
     if not SE1:
         return ca.SX(0)
     if not (SE1 > 0 and SE2 > 0 and E1 != E2):
-        raise ValueError(f"{d.name}: saturation needs SE1, SE2 > 0 at two voltages, not ({E1}, {SE1}) and ({E2}, {SE2})")
+        raise ValueError(
+            f"{d.name}: saturation needs SE1, SE2 > 0 at two voltages, not ({E1}, {SE1}) and ({E2}, {SE2})"
+        )
     B = log(SE1 / SE2) / (E1 - E2)
     a, b = d.parameter("A_SE", SE1 / exp(B * E1)), d.parameter("B_SE", B)
     return a * ca.exp(b * E)
@@ -181,7 +187,7 @@ def _error(d: Diagram, Vref: float, TR: str | None = None, voltage: ca.SX | None
 
 
 def _exciter(d: Diagram, efd: ca.SX, base: Bases, description: str) -> PHDAE:
-    volt = d.parameter("Ebase", base.Ebase, "field voltage of one per unit", unit="V")
+    volt = d.parameter("Ebase", base.Ebase, "field voltage of one per unit", unit="V", positive=True)
     outputs = (
         signal_output("field", volt * efd, unit="V", description="field voltage"),
         signal_output("Efd_pu", efd, description="field voltage in per unit"),

@@ -5,13 +5,13 @@ from __future__ import annotations
 import casadi as ca
 
 from phfmu import PHDAE, signal_output
-from phfmu.components.control.bases import Bases
+from phfmu.components.control.bases import PER_UNIT, Bases
 from phfmu.components.control.diagram import Diagram
 
 
 def tgov1(
     *, R: float = 0.05, T1: float = 0.5, VMAX: float = 1.0, VMIN: float = 0.0, T2: float = 2.1, T3: float = 7.0,
-    Dt: float = 0.0, Pref: float = 0.8, base: Bases = Bases(),
+    Dt: float = 0.0, Pref: float = 0.8, base: Bases = PER_UNIT,
 ) -> PHDAE:  # fmt: skip
     """TGOV1, a steam turbine with its governor.
 
@@ -37,7 +37,7 @@ def tgov1(
 def hygov(
     *, R: float = 0.05, r: float = 0.3, Tr: float = 5.0, Tf: float = 0.05, Tg: float = 0.5, VELM: float = 0.2,
     GMAX: float = 1.0, GMIN: float = 0.0, TW: float = 1.0, At: float = 1.2, Dturb: float = 0.0, qNL: float = 0.08,
-    nref: float = 0.04, base: Bases = Bases(),
+    nref: float = 0.04, base: Bases = PER_UNIT,
 ) -> PHDAE:  # fmt: skip
     """HYGOV, a hydro turbine with its governor.
 
@@ -74,7 +74,7 @@ def hygov(
 
 def gast(
     *, R: float = 0.05, T1: float = 0.4, T2: float = 0.1, T3: float = 3.0, AT: float = 1.0, KT: float = 2.0,
-    VMAX: float = 1.0, VMIN: float = 0.0, Dturb: float = 0.0, Pref: float = 0.8, base: Bases = Bases(),
+    VMAX: float = 1.0, VMIN: float = 0.0, Dturb: float = 0.0, Pref: float = 0.8, base: Bases = PER_UNIT,
 ) -> PHDAE:  # fmt: skip
     """GAST, a gas turbine with its governor.
 
@@ -104,12 +104,12 @@ def gast(
 
 def _deviation(d: Diagram, base: Bases) -> ca.SX:
     """w/w_base - 1."""
-    rated = d.parameter("w_base", base.speed, "rated speed", unit="rad/s")
+    rated = d.parameter("w_base", base.speed, "rated speed", unit="rad/s", positive=True)
     return d.input("w", base.speed, "speed of the shaft", unit="rad/s") / rated - 1.0
 
 
 def _turbine(d: Diagram, Pm: ca.SX, base: Bases, description: str) -> PHDAE:
-    size = d.parameter("T_base", base.torque, "torque of one per unit", unit="N.m")
+    size = d.parameter("T_base", base.torque, "torque of one per unit", unit="N.m", positive=True)
     outputs = (
         signal_output("torque", size * Pm, unit="N.m", description="torque on the shaft"),
         signal_output("Pm", Pm, description="mechanical power in per unit"),

@@ -33,14 +33,16 @@ def meter(
     `angle` [rad]: of phase a at the start.  ValueError for TR that is not positive.
     """
     if not TR > 0:
-        raise ValueError(f"meter: TR = {TR:g} s must be positive; a signal without lag would be a voltage that no state holds")
+        raise ValueError(
+            f"meter: TR = {TR:g} s must be positive; a signal without lag would be a voltage that no state holds"
+        )
     phases = ("a", "b", "c")
     peak, rated = sqrt(2.0 / 3.0) * Vn, sqrt(2.0 / 3.0) * Sn / Vn
     i = algebraic("i", 3, unit="A", nominal=rated, elements=phases, description="current from a to b")
     begun = [peak * cos(angle - a) for a in ANGLES]
     v = algebraic("v", 3, unit="V", start=begun, nominal=peak, elements=phases, description="voltage of the phases")
     lag, rated_v, rated_f = (
-        parameter(n, x, unit=u) for n, x, u in (("TR", TR, "s"), ("Vn", Vn, "V"), ("fn", fn, "1/s"))
+        parameter(n, x, unit=u, positive=True) for n, x, u in (("TR", TR, "s"), ("Vn", Vn, "V"), ("fn", fn, "1/s"))
     )
     gain, integral = parameter("kp", kp, unit="1/s"), parameter("ki", ki, unit="1/s2")
     size = ca.sqrt(ca.sumsqr(v.sx) + (1e-6 * rated_v) ** 2)
@@ -59,13 +61,18 @@ def meter(
     ports = [Port("a", ELECTRICAL, "effort", {i: 1.0}, size=3, nominal=peak, elements=phases, description="the bus")]
     more: tuple = ()
     if through:
-        power = parameter("Sn", Sn, unit="W")
+        power = parameter("Sn", Sn, unit="W", positive=True)
         P, Q = (state(n, description=t) for n, t in (("P", "active power"), ("Q", "reactive power")))
         turn = np.array([[0.0, -1.0, 1.0], [1.0, 0.0, -1.0], [-1.0, 1.0, 0.0]]) / sqrt(3.0)
-        rates |= {P: (ca.dot(v.sx, i.sx) / power - P) / lag, Q: (ca.dot(ca.mtimes(turn.T, v.sx), i.sx) / power - Q) / lag}
+        rates |= {
+            P: (ca.dot(v.sx, i.sx) / power - P) / lag,
+            Q: (ca.dot(ca.mtimes(turn.T, v.sx), i.sx) / power - Q) / lag,
+        }
         outputs += [signal_output("active", P.sx, description="active power from a to b in per unit"),
                     signal_output("reactive", Q.sx, description="reactive power from a to b in per unit")]  # fmt: skip
-        ports.append(Port("b", ELECTRICAL, "flow", {v: 1.0}, size=3, nominal=rated, elements=phases, description="away"))
+        ports.append(
+            Port("b", ELECTRICAL, "flow", {v: 1.0}, size=3, nominal=rated, elements=phases, description="away")
+        )
         more = (P, Q, power)
     return PHDAE(
         "meter",

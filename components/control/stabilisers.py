@@ -16,7 +16,8 @@ def pss1a(
 ) -> PHDAE:  # fmt: skip
     """PSS1A, a stabiliser of one input.
 
-        Vs = clip(KS/(1 + s T6) s T5/(1 + s T5) 1/(1 + s A1 + s^2 A2) (1 + s T1)/(1 + s T2) (1 + s T3)/(1 + s T4) (u/u_base - rest))
+        y = 1/(1 + s A1 + s^2 A2) KS/(1 + s T6) s T5/(1 + s T5) (u/u_base - rest)
+        Vs = clip((1 + s T1)/(1 + s T2) (1 + s T3)/(1 + s T4) y, VSTMIN, VSTMAX)
 
     `u_base`: of one per unit;  `rest` [1]: what u is at rest.
 
@@ -46,7 +47,8 @@ def ieeest(
         y = (1 + A5 s + A6 s^2)/((1 + A1 s + A2 s^2)(1 + A3 s + A4 s^2)) (u/u_base - rest)
         Vs = clip(KS s T5/(1 + s T6) (1 + s T1)/(1 + s T2) (1 + s T3)/(1 + s T4) y, LSMIN, LSMAX)
 
-    `u_base`: of one per unit;  `rest` [1]: what u is at rest.  Its cut-off at voltages above VCU and below VCL is left out (VCU = VCL = 0, as in most data).
+    `u_base`: of one per unit;  `rest` [1]: what u is at rest.
+    Its cut-off at voltages above VCU and below VCL is left out (VCU = VCL = 0, as in most data).
 
     H:  0: its states have no energy, and it does no work
     Signal inputs:   u [`unit`] (speed, frequency or power);  signal outputs: Vs [1]
@@ -63,13 +65,15 @@ def ieeest(
              p["A2"] * p["A4"])  # fmt: skip
     y = d.transfer("filter", u, above, below, _order(np.polymul((A2, A1, 1.0), (A4, A3, 1.0))[::-1]))
     y = d.lead_lag("lead2", d.lead_lag("lead1", y, "T1", "T2"), "T3", "T4")
-    return _stabiliser(d, d.washout("washout", y, p["KS"], "T5", "T6"), "LSMIN", LSMIN, "LSMAX", LSMAX, "stabiliser IEEEST")
+    return _stabiliser(
+        d, d.washout("washout", y, p["KS"], "T5", "T6"), "LSMIN", LSMIN, "LSMAX", LSMAX, "stabiliser IEEEST"
+    )
 
 
 def _deviation(d: Diagram, rest: float, u_base: float, unit: str) -> ca.SX:
     """u/u_base - rest."""
     u = d.input("u", rest * u_base, "measured signal", unit=unit)
-    return u / d.parameter("u_base", u_base, "of one per unit", unit=unit) - d.parameter("rest", rest)
+    return u / d.parameter("u_base", u_base, "of one per unit", unit=unit, positive=True) - d.parameter("rest", rest)
 
 
 def _order(coefficients: object) -> int:

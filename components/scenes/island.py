@@ -24,8 +24,9 @@ def island(step: float = 0.1, t_step: float = 0.5, *, stop: float = 5.0) -> Scen
 
     Arguments: step, power of the load that is switched on, in per unit of the machine; t_step [s]; stop [s]
 
-    Members gen (555 MVA, 24 kV), meter, avr (SEXS), pss (PSS1A), gov (TGOV1), line (X = 0.1), house and town (loads of 0.2 and 0.5
-    per unit), more (what is switched on).  The exciter sets the voltage of the field, the governor the torque of the shaft:
+    Members gen (555 MVA, 24 kV), meter, avr (SEXS), pss (PSS1A), gov (TGOV1), line (X = 0.1), house and town (loads
+    of 0.2 and 0.5 per unit), more (what is switched on).  The exciter
+    sets the voltage of the field, the governor the torque of the shaft:
     signals, whose work is booked at gen.field_source and gen.shaft_source.  All begin in the operating point.
     The frequency comes to rest near 60 (1 - R dP) Hz, R = 0.05 the droop of the governor.
     """
@@ -84,7 +85,9 @@ def _island() -> NetworkPoint:
     ends = _plant(net, 4.0, True)
     net.add("house", rlc_load(5.0 * Z, 20.0 * Z / w, i=_lagging(v / (20.0 * Z)), nominal=v))
     net.add("line", rl_line(0.01 * Z, 0.1 * Z / w, v=v, rated=i))
-    net.add("town", rlc_load(2.0 * Z, 5.0 * Z / w, 0.05 / Z / w, v=_lagging(1j * v), i=_lagging(v / (5.0 * Z)), nominal=v))
+    net.add(
+        "town", rlc_load(2.0 * Z, 5.0 * Z / w, 0.05 / Z / w, v=_lagging(1j * v), i=_lagging(v / (5.0 * Z)), nominal=v)
+    )
     net.add("more", fault_resistor(nominal=v))
     net.junction("bus1", [*ends, "line.a", "house.terminal"])
     net.junction("bus2", ["line.b", "town.terminal", "more.terminal"])
@@ -98,7 +101,10 @@ def _lagging(phasor: complex) -> list[float]:
 
 
 def _loads(data: MachineData) -> list[Specification]:
-    return [Load("house.terminal", P=0.2 * data.Sn, Q=0.05 * data.Sn), Load("town.terminal", P=0.5 * data.Sn, Q=0.2 * data.Sn)]
+    return [
+        Load("house.terminal", P=0.2 * data.Sn, Q=0.05 * data.Sn),
+        Load("town.terminal", P=0.5 * data.Sn, Q=0.2 * data.Sn),
+    ]
 
 
 @cache

