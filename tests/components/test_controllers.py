@@ -12,6 +12,7 @@ from scipy.signal import TransferFunction, step
 
 from phfmu import (
     PHDAE,
+    Collocated,
     Event,
     FMUInstance,
     Monolithic,
@@ -34,6 +35,7 @@ from phfmu.components.electrical import infinite_bus, machine_set, rl_line, sync
 from phfmu.components.scenes.island import island, smib_exciter
 from phfmu.network.junction import ConnectionError
 from phfmu.operating import PV, NoOperatingPoint, operating_point
+from tests.network.governed import apart
 from tests.wide import wide
 
 
@@ -313,3 +315,16 @@ def test_signals_from_junctions_and_into_free_ports():
         net.signal("avr.field", "gen.terminal.v[1]")
     with pytest.raises(ConnectionError, match="is fed by avr.field already"):
         net.signal("avr.field", "gen.field.v")
+
+
+@pytest.mark.parametrize("name", ["island", "smib_exciter"])
+def test_members_apart_do_what_the_composed_network_does(name):
+    scene = {"island": island, "smib_exciter": smib_exciter}[name]()
+    net = scene.system
+    assert isinstance(net, Network)
+    options = Options(stop=0.01, step=scene.step, events=(Event(0.0, "avr.Vref", 1.2),))
+    whole = run(Monolithic(m := build_model(net.compose(), Collocated(1)), NativeInstance(m)), options)
+    split = run(apart(net, 1, NativeInstance), options)
+    for told in ("avr.Efd", "gen.p", "gov.valve", "meter.V"):
+        np.testing.assert_allclose(split.column(told)[-1], whole.column(told)[-1], rtol=1e-5)
+    assert whole.column("avr.Efd")[-1] > 1.05 * whole.column("avr.Efd")[0]
