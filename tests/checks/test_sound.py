@@ -34,6 +34,8 @@ from tests.checks.models import holonomic, oscillator, resistive, rules, source,
 #: arguments of library functions whose required arguments are not just numbers, or that need at least one
 ARGUMENTS = {
     "load": ({"P": 1.0, "V": 1.0},),
+    "grid_scene": (),  # of a table of a grid: components/test_grids.py
+    "capacitor_network": ({"C": [[2e-6, -1e-6], [-1e-6, 3e-6]]},),
     "shunt": ({"Q": 1.0, "V": 1.0},),
     "capacitor_bank": ({"Q": 1.0, "V": 1.0},),
     "constant_power_load": ({"P": 1.0, "V": 1.0},),

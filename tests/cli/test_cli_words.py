@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from phfmu.components.library import LIBRARY, build
+from phfmu.components.library import LIBRARY, TABLE, build
 from phfmu.results.writer import TableWriter
 from phfmu.runs.input_file import read_inputs
 from tests.cli.commands import Cli
@@ -35,8 +35,8 @@ def test_help_lists_the_verbs(cli: Cli) -> None:
 def test_list_names_the_whole_library(cli: Cli) -> None:
     code, out, _ = cli("list")
     lines = {line.split()[0]: line for line in out.splitlines() if line.startswith("  ")}
-    assert code == 0 and lines.keys() == LIBRARY.keys()
-    assert all(line.endswith(LIBRARY[name][2]) for name, line in lines.items())
+    assert code == 0 and lines.keys() == TABLE.keys()
+    assert all(line.endswith(TABLE[name][2]) for name, line in lines.items())
 
 
 #: a component of each domain and kind, scenes with parts, events and signals
@@ -125,7 +125,7 @@ def test_a_terminal_without_the_letters(tmp_path: Path, verb: str) -> None:
     """The exit code is that of the verb; letters that the terminal does not have are spelled out."""
     (tmp_path / "m.py").write_text(
         "from dataclasses import replace\nfrom phfmu.components.mechanical.translational import mass\n"
-        "from phfmu.components.library import LIBRARY\nLIBRARY['mass'] = (*LIBRARY['mass'][:2], 'größe ω')\n"
+        "from phfmu.components.library import LIBRARY, TABLE\nLIBRARY['mass'] = (*LIBRARY['mass'][:2], 'größe ω')\n"
         "def größe(): return replace(mass(), name='größe_ω', description='größe ω')\n",
         encoding="utf-8",
     )

@@ -19,7 +19,7 @@ Rows = list[list[float]]
 def read_matpower(path: str | PathLike[str], *, frequency: float = 60.0) -> Grid:
     """A case of MATPOWER (.m), read by matpowercaseframes; `frequency` [Hz], which such files do not have."""
     try:
-        from matpowercaseframes import CaseFrames
+        from matpowercaseframes import CaseFrames  # pyright: ignore[reportMissingImports]
     except ImportError:
         raise ImportError("cases of MATPOWER need matpowercaseframes: pip install 'phfmu[grid]'") from None
     file = Path(path)
@@ -42,7 +42,7 @@ def from_pandapower(net: Any, *, trafo_model: str = "pi") -> Grid:
     `trafo_model`: the equivalent circuit of transformers, as in pandapower, of which magnetising branches at both ends (pi).
     """
     try:
-        from pandapower.converter.pypower.to_ppc import to_ppc
+        from pandapower.converter.pypower.to_ppc import to_ppc  # pyright: ignore[reportMissingImports]
     except ImportError:
         raise ImportError("networks of pandapower need pandapower: pip install 'phfmu[grid]'") from None
     case = to_ppc(
