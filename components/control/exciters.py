@@ -48,6 +48,7 @@ def exac1(
     FEX is the regulation of the rectifier: 1 - IN/sqrt(3) to IN = sqrt(3)/4, sqrt(3/4 - IN^2) to 3/4, sqrt(3) (1 - IN) to 1.
     SE(VE) = A exp(B VE) through (E1, SE1), (E2, SE2); SE1 = 0: no saturation.
 
+    E1, SE1, E2, SE2 [1].
     Signal inputs:   V, Vs [1], Ifd [A] field current;  signal outputs: field [V], Efd_pu [1]
     States:          measured, lead, VR, VE, rate [1];  modes: VR_at, VE_at
     Source: IEEE Std 421.5-2005, figure 6-1 (AC1A) and table of sample data; Siemens PTI, PSS/E model library, EXAC1.
@@ -82,6 +83,7 @@ def ieeex1(
 
     SE(Efd) = A exp(B Efd) through (E1, SE1), (E2, SE2); SE1 = 0: no saturation.
 
+    E1, SE1, E2, SE2 [1].
     Signal inputs:   V, Vs [1];  signal outputs: field [V], Efd_pu [1]
     States:          measured, lead, VR, Efd, rate [1];  modes: VR_at
     Source: IEEE Std 421.5-2005, figure 5-1 (DC1A); Siemens PTI, PSS/E model library, IEEEX1.
@@ -112,7 +114,7 @@ def st1a(
         VA = KA/(1 + s TA) (1 + s TC)(1 + s TC1)/((1 + s TB)(1 + s TB1)) VI,    VAMIN <= VA <= VAMAX without wind-up
         Efd = clip(VA - KLR max(Ifd - ILR, 0), V VRMIN, V VRMAX - KC Ifd)
 
-    Its gates for limiters of excitation have no input.
+    KF, KLR, ILR [1], TF [s].  Its gates for limiters of excitation have no input.
 
     Signal inputs:   V, Vs [1], Ifd [A] field current;  signal outputs: field [V], Efd_pu [1]
     States:          measured, lead, lead1, VA, rate [1];  modes: VI_at, VA_at, Efd_at, over_second

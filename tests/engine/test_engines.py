@@ -89,7 +89,9 @@ def compare(name, k, n):
         at = python.layout[block]
         first, second = (r["signals"][:, at][:, : len(columns)] for r in (one, two))
         assert np.isfinite(second).all()
-        size = traded if "energy" in columns else 0.0
+        # a meter takes no current, zero but for rounding, and an exciter passes on the rounding of the voltage 200 times
+        metered = name in ("island", "smib_exciter")
+        size = traded if "energy" in columns or (metered and block == "energy") else 1e-9 if metered else 0.0
         assert relative(first, second, columns, size) <= 1e-11, block
     for rows in (one, two):
         gap = np.abs(rows["stored"] + rows["dissipated"] - rows["supplied"])
@@ -101,7 +103,7 @@ def compare(name, k, n):
         play = np.maximum(play, least)
         assert np.max(gap / play) <= 1e-12
     used = np.max(np.abs(one["pairs"]), axis=0, initial=0.0)[: model.step.nu]
-    idle = ("fault_resistor", "torque_source")  # the fault is open, the signal 0
+    idle = ("fault_resistor", "fault", "torque_source", "field_source", "meter")  # open, signals 0, no current is taken
     assert name in idle or (used > 0.0).all()  # power through every port
 
 

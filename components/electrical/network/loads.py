@@ -21,7 +21,7 @@ def load(P: float, Q: float = 0.0, *, V: float, f: float = 50.0, kind: Kind = "p
     parallel:  R = V^2/P,  L = V^2/(w Q),  or C = -Q/(w V^2) where Q < 0: an `rlc_load`, whose ports and parameters it has
     series:    R + j X = V^2 (P + j Q)/(P^2 + Q^2),  L = X/w,  or C = -1/(w X) where Q < 0: an `rlc_branch`
 
-    P [W], Q [var]: of all three phases, taken;  V [V rms, line to line];  f [Hz];  w = 2 pi f
+    P [W], Q [var]: of all three phases, taken;  V [V], rms, line to line;  f [Hz];  w = 2 pi f
     `angle` [rad]: of the voltage of phase a at the start
     ValueError for P < 0 (a load does not deliver), for P = Q = 0, and for V or f that is not positive.
     """
@@ -43,7 +43,10 @@ def load(P: float, Q: float = 0.0, *, V: float, f: float = 50.0, kind: Kind = "p
 
 
 def shunt(Q: float, *, V: float, f: float = 50.0, angle: float = 0.0) -> PHDAE:
-    """Reactor (Q > 0) or capacitor (Q < 0) to ground that takes Q at the nominal voltage: a `load` without resistance."""
+    """Reactor (Q > 0) or capacitor (Q < 0) to ground that takes Q at the nominal voltage: a `load` without resistance.
+
+    Q [var]: of all three phases, taken;  V [V], rms, line to line;  f [Hz];  `angle` [rad] of phase a at the start
+    """
     return load(0.0, Q, V=V, f=f, angle=angle)
 
 
@@ -54,7 +57,8 @@ def capacitor_bank(
 
     C = Q (1 - p)/(w V^2),  L = p/(w^2 C),  R = w L/quality,  p = detuning = X_L/X_C: an `rlc_branch`; p = 0: a `shunt`
 
-    Q [var]: delivered, of all three phases;  V [V rms, line to line];  f [Hz].  With p = 0.07 it resonates at f/sqrt(p) = 3.78 f.
+    Q [var]: delivered, of all three phases;  V [V], rms, line to line;  f [Hz];  `detuning` [1];  `quality` [1];
+    `angle` [rad] of phase a at the start.  With p = 0.07 it resonates at f/sqrt(p) = 3.78 f.
     ValueError for Q that is not positive and p outside [0, 1).
     """
     _require("capacitor_bank", V, f)

@@ -84,7 +84,7 @@ def saturating_reactor(
     ports:       terminal: voltage given, current INTO the reactor out
     parameters:  R [ohm]
     observables: i (size) [A]
-    `points`: (flux [Wb], current [A]), both rising;  `rounding`: of the corners;  `size`: phases;  `v`: typical voltage [V];
+    `points`: flux [Wb] and current [A], both rising;  `rounding` [1]: of the corners;  `size`: phases;  `v`: typical voltage [V];
     `flux0`: flux at the start [Wb].  ValueError for points that do not rise and R < 0.
     """
     if R < 0:

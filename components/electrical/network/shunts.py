@@ -104,7 +104,7 @@ def constant_power_load(P: float, Q: float = 0.0, *, V: float, least: float = 0.
 
     H:  0;  R: P/s on the port (feedthrough);  J: -Q G/s (skew, feedthrough: reactive power does no work)
     ports:       terminal: voltages given, currents INTO the load out
-    parameters:  P [W], Q [var] of all three phases;  V [V rms, line to line], least [1]
+    parameters:  P [W], Q [var] of all three phases;  V [V], rms, line to line, least [1]
     Not incrementally passive: a drop of the voltage raises the current, which can make a network unstable.
     ValueError for P < 0, V or least that is not positive.
     """

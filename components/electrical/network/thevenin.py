@@ -32,7 +32,8 @@ def thevenin_source(
     parameters:  amplitude E [V] (peak, phase to ground), omega [rad/s], phase [rad]
                  R, R0 [ohm], L, L0 [H]: positive and zero sequence
     observables: i (3), the current into the source
-    V [V rms, line to line], S_sc [VA] three-phase short-circuit power, f [Hz], `x_r`: X/R, `zero`: Z0/Z, `rated`: current [A]
+    V [V], rms, line to line; S_sc [VA], three-phase short-circuit power; f [Hz]; `x_r` [1]: X/R; `zero` [1]: Z0/Z;
+    `angle` [rad] of phase a; `rated`: current [A]
     ValueError for values that are not positive.
     Source: IEC 60909-0 (short-circuit power of a network feeder).
     """

@@ -70,7 +70,7 @@ def two_winding_transformer(
     a.i = W_a^T (i + i_m)/(tap n),  b.i = -W_b^T i.  W_a, W_b: what the sides put on the limbs, by the vector group.
     With `i0`:  linkage' = W_a v_a/(tap n),  i_m = linkage/L_m + G_m W_a v_a/(tap n),  beside side a.
     With `curve` instead: i_m = dH/d linkage of the magnetisation curve, flux and current as parts of the rated peaks on side b;
-    it begins with the fluxes `linkage0`, parts of the rated peak.
+    it begins with the fluxes `linkage0` [1], parts of the rated peak.
 
     H:  |flux|^2/(2 L) + |linkage|^2/(2 L_m), or that of the curve;  J: 0
     R:  R on each limb, G_m W_a^T W_a/(tap n)^2 as feedthrough of a
@@ -78,7 +78,7 @@ def two_winding_transformer(
     ports:       a, b: voltages given, currents INTO the transformer out
     parameters:  R [ohm], L [H] of the leakage, L_m [H] and G_m [S] of the core, as seen from side b;  ratio n, tap [1]
     observables: i (3), the current through the limbs, counted from a to b;  i_m (3), that of the core with i0
-    Sn [VA];  Va, Vb [V rms, line to line]: rated;  f [Hz];  r, x, i0, p0 [1]: series resistance, leakage, no-load
+    Sn [VA];  Va, Vb [V]: rated, rms, line to line;  f [Hz];  r, x, i0, p0 [1]: series resistance, leakage, no-load
     current and no-load loss in per unit of Sn, Vb;  `tap`: turns of side a as a part of the rated ones, tunable.
     Where a neutral floats (Y or y) no zero sequence flows on either side.  A delta grounds that of yn or YN over the leakage.
     ValueError for ratings that are not positive, x = 0, and a no-load loss that the no-load current cannot bring.
