@@ -181,7 +181,8 @@ def faulted(order: int) -> tuple[Scene, Any]:
     scene = grid_scene(public_grid("ieee39"), faults=[Fault(16, 0.1, 0.2)], stop=0.3)
     declaration = scene.declaration()
     unit = NativeInstance(build_model(declaration, Collocated(order // 2)))
-    return scene, run(Monolithic(unit.model, unit), Options(stop=scene.stop, step=scene.step, events=scene.events))
+    options = Options(stop=scene.stop, step=scene.step, events=scene.events, restart=scene.restart)
+    return scene, run(Monolithic(unit.model, unit), options)
 
 
 def voltage(r: Any, grid: Grid, bus: int) -> np.ndarray:
@@ -210,7 +211,8 @@ def test_a_fault_on_39_buses() -> None:
 def test_a_line_trips_at_its_current_zeros() -> None:
     scene = grid_scene(nine(), faults=[Fault(7, 0.02, 0.05)], trips=[Trip("line7-5")], stop=0.1)
     unit = NativeInstance(build_model(scene.declaration(), Collocated(1)))
-    r = run(Monolithic(unit.model, unit), Options(stop=scene.stop, step=scene.step, events=scene.events))
+    options = Options(stop=scene.stop, step=scene.step, events=scene.events, restart=scene.restart)
+    r = run(Monolithic(unit.model, unit), options)
     i = r.column("line5_7.i[1]")
     t = np.linspace(0.0, scene.stop, len(i))
     late = i[np.searchsorted(t, 0.065) :]
