@@ -16,6 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +31,7 @@ from phfmu.outcome.limits import defined
 DEFAULT_RTOL = 1e-11
 EPS = float(np.finfo(float).eps)
 HEADER = Path(__file__).parent / "runtime" / "judge.h"
-FLOOR, ULPS, RUN, LEAST = (defined(HEADER)[name] for name in ("FLOOR", "ULPS", "RUN", "LEAST"))
+FLOOR, ULPS, PARTS, RUN, LEAST = (defined(HEADER)[name] for name in ("FLOOR", "ULPS", "PARTS", "RUN", "LEAST"))
 
 
 @dataclass(slots=True)
@@ -43,6 +44,7 @@ class Account:
     reach: float = 0.0  # most energy in play so far
     largest: float = 0.0  # |H|
     moved: float = 0.0  # most that moved within it in a step
+    turnover: float = 0.0  # sum over the steps of what moved within it
     jumps: float = 0.0  # booked by events since the last step
     gap: CompensatedSum = field(default_factory=CompensatedSum)
     missed: CompensatedSum = field(default_factory=CompensatedSum)  # residuals
@@ -138,13 +140,22 @@ class Judge:
         before[0] = [a.H_end + a.jumps for a in accounts]
         before[1:] = H1[:-1]
         largest = largest_so_far([a.largest for a in accounts], H)
-        permitted = allowed + ULPS * EPS * largest
+        permitted = allowed + _rounding_of_H(largest, self._turnover(accounts, block))
         between, within = block.H0 - before, H1 - block.H0 - block.steps.stored
         self._mark(ViolationKind.GAP, names, between, permitted, block)
         self._mark(ViolationKind.CHANGE, names, within, permitted, block)
         for i, account in enumerate(accounts):
             account.largest, account.H_end, account.jumps = float(largest[-1, i]), float(H1[-1, i]), 0.0
         return between + within
+
+    def _turnover(self, accounts: list[Account], block: BookedSteps) -> Floats:
+        """Sums up to each step [n,c] of what moved between the energies of a component: what these may have become by then."""
+        moved = block.steps.moved
+        steps = np.zeros_like(block.H0) if moved is None else np.abs(_or(0.0, np.asarray(moved, float)))
+        sums = np.cumsum(np.vstack([[a.turnover for a in accounts], steps]), axis=0)[1:]
+        for account, last in zip(accounts, sums[-1].tolist(), strict=True):
+            account.turnover = last
+        return sums
 
     def _joined(self, block: BookedSteps, allowed: Floats, played: Floats, varying: Floats) -> Floats:
         """Junctions, and the network: what is unexplained is the sum of what the components miss, or are not judged for.
@@ -252,7 +263,10 @@ class Judge:
         for name, a in self.accounts.items():
             if a.quality is Quality.EXACT:
                 found += self._in_run(ViolationKind.RUN, name, a.missed.value, a.allowed, ViolationKind.BALANCE)
-            allowed, steps = a.allowed + ULPS * EPS * a.largest, (ViolationKind.GAP, ViolationKind.CHANGE)
+            allowed, steps = (
+                a.allowed + _rounding_of_H(a.largest, a.turnover),
+                (ViolationKind.GAP, ViolationKind.CHANGE),
+            )
             found += self._in_run(ViolationKind.DRIFT, name, a.gap.value, allowed, *steps)
         allowed, steps = RUN * math.sqrt(max(self.squares.value, 0.0)), ViolationKind.UNEXPLAINED
         return [*found, *self._in_run(ViolationKind.UNEXPLAINED_RUN, "network", unexplained, allowed, steps)]
@@ -264,6 +278,11 @@ class Judge:
         if abs(size) <= allowed or any((single, name) in self._found for single in steps):
             return []
         return [Violation(kind, name, 0, math.nan, math.nan, size, allowed)]
+
+
+def _rounding_of_H(largest: Any, turnover: Any) -> Any:
+    """How far H may be from what is booked of it; `ph_rounding_of_H`."""
+    return ULPS * EPS * largest + PARTS * EPS * turnover
 
 
 def _or(other: float, x: Floats) -> Floats:

@@ -161,6 +161,23 @@ def test_what_a_stiff_member_passes_on_closes_where_junctions_cancel(
     assert found.closed is closes
 
 
+@pytest.mark.parametrize(("off", "closes"), [(1.0, True), (40.0, False)])
+def test_H_has_the_rounding_of_energies_that_cancel(off: float, closes: bool, library: Any) -> None:
+    """A body falls: 3e4 J a step go from one energy to the other, and their sum of 2 J has the rounding of both."""
+    n, moved = 10000, 3e4
+    rounding = np.spacing(n * moved) * off * (np.arange(1, n + 1) / n)
+    H = 2.0 + rounding * np.where(np.arange(n) % 2, 1.0, -1.0)
+    zero = np.zeros((n, 1))
+    steps = Steps(H[:, None], zero, zero, zero, np.zeros((n, 0)), None, np.full((n, 1), moved))
+    ledger, size, before = Ledger(rtol=1e-15), 1000, np.vstack([[[2.0]], H[:-1, None]])  # rounding alone is allowed
+    for i in range(0, n, size):
+        k = i + np.arange(size)
+        ledger.add(Booking(("body",)), k, 1e-2 * k, np.full(size, 1e-2), steps.part(i, i + size), before[k])
+    found = ledger.summary()
+    assert found.closed is closes, found.violations
+    assert {v.kind for v in found.violations} == (set() if closes else {"change"})
+
+
 @pytest.mark.parametrize("column", ["H", "stored", "dissipated", "supplied", "numerical", "moved", "pairs", "works"])
 def test_what_is_not_ordinary_is_told_as_by_arrays(column: str, library: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """In the middle of a block, in each column; the blocks beside it are compiled code's."""

@@ -24,7 +24,7 @@ SCENES = {
     "rectifier": (101, 10001),
     "six_pulse": (120, 12000),
     "buck": (1204, 120004),
-    "bead": (1, None),
+    "bead": (1, 1),
     "smib_breaker": (7, None),
 }
 ENGINES = {"native": NativeInstance, "python": PythonInstance}

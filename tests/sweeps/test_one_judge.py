@@ -10,7 +10,7 @@ import pytest
 
 import phfmu as ph
 from phfmu import PHDAE, NativeInstance, Options, Scene, block, energy, sweep
-from phfmu.audit.judge import FLOOR, HEADER, RUN, ULPS
+from phfmu.audit.judge import FLOOR, HEADER, PARTS, RUN, ULPS
 from phfmu.components.library import build
 from phfmu.sweeps.design import Design
 from phfmu.sweeps.general_runs import GeneralRuns
@@ -85,8 +85,8 @@ def test_the_table_tells_the_larger_of_both() -> None:
 
 
 def test_the_constants_of_the_rule_stand_in_one_header() -> None:
-    assert (FLOOR, ULPS, RUN) == (1024.0, 64.0, 4.0)
+    assert (FLOOR, ULPS, PARTS, RUN) == (1024.0, 64.0, 4.0, 4.0)
     assert all(
         f"PH_{name} {value:g}\n" in HEADER.read_text()
-        for name, value in (("FLOOR", FLOOR), ("ULPS", ULPS), ("RUN", RUN))
+        for name, value in (("FLOOR", FLOOR), ("ULPS", ULPS), ("PARTS", PARTS), ("RUN", RUN))
     )

@@ -12,6 +12,9 @@
 #define PH_FLOOR 1024
 /* Roundings of what of H is not constant, and of what is summed twice. */
 #define PH_ULPS 64
+/* H is a sum of energies that may cancel. None is larger than it was at the start and all that has moved in
+ * the run together; H has this many roundings of that. */
+#define PH_PARTS 4
 /* The sum over a run may be this many times the root of the sum of the squares of what its steps are allowed.
  */
 #define PH_RUN 4
@@ -40,6 +43,12 @@ static inline double ph_allowed(double rtol, double in_play, double reach, doubl
 /* What the sum of the residuals may be; `squares`: the sum of the squares of what the steps are allowed. */
 static inline double ph_allowed_in_run(double squares) {
     return PH_RUN * sqrt(squares);
+}
+
+/* How far H may be from what is booked of it, beside what is allowed in the step; `largest`: |H| so far,
+ * `turnover`: the sum over the steps so far of what moved between the energies of the component. */
+static inline double ph_rounding_of_H(double largest, double turnover) {
+    return PH_ULPS * DBL_EPSILON * largest + PH_PARTS * DBL_EPSILON * turnover;
 }
 
 /* |size| / allowed, 0 for 0/0. */

@@ -20,8 +20,8 @@ typedef struct {
  * [c] or 0; owner [q]: component, or -1; port [q]: of a pair; junction [q]: or -1; outside [q]: sign of what
  * enters the balance, or 0; part_junction [parts]; projection [parts]: it is a loss.  before [c]: H booked at
  * the start. In and out, up to the last row: the sums; reach, largest, stirred [c], passed [junctions]: most
- * so far; worst [c], with the row and residual of it, the row -1 for none of these; worst_junction
- * [junctions], worst_part [parts].  scratch [7c + 7 junctions]. */
+ * so far; turnover [c]: sum of moved; worst [c], with the row and residual of it, the row -1 for none of
+ * these; worst_junction [junctions], worst_part [parts].  scratch [7c + 7 junctions]. */
 typedef struct {
     size n, c, q, junctions, parts, loose;
     double rtol;
@@ -34,7 +34,7 @@ typedef struct {
     ph_sums of_dissipated, of_supplied, of_numerical, of_stored, gap, missed, squares; /* [c] */
     ph_sums of_port, of_junction, exchanged, of_part;                     /* [ports], [junctions], [parts] */
     ph_sums dissipation, external, residual, unexplained, dH, loss, left; /* [1] of the network */
-    double *reach, *largest, *stirred, *passed;
+    double *reach, *largest, *stirred, *turnover, *passed;
     double *worst, *worst_residual;
     size *worst_row;
     double *worst_junction, *worst_part, worst_unexplained;
@@ -134,6 +134,7 @@ static void take_components(const ph_ledger *b, size i, ph_row *r) {
         const double sum = fabs(b->of_stored.high[k] + b->of_stored.low[k]);
         b->reach[k] = ph_most(b->reach[k], ph_most(r->in_play[k], sum));
         b->largest[k] = ph_most(b->largest[k], r->H[k]);
+        b->turnover[k] += b->moved ? fabs(b->moved[at]) : 0.0;
         r->reach += b->reach[k];
         r->energy += b->varying[at];
     }
@@ -149,7 +150,7 @@ static int judge_components(const ph_ledger *b, size i, const ph_row *r) {
         const double relation = b->stirred[k] == 0.0 ? r->reach : 0.0;
         const double in_step = ph_allowed(b->rtol, r->in_play[k], b->reach[k], 0.0);
         const double allowed = ph_allowed(b->rtol, r->in_play[k], b->reach[k], b->varying[at] + relation);
-        const double permitted = in_step + ULPS * b->largest[k];
+        const double permitted = in_step + ph_rounding_of_H(b->largest[k], b->turnover[k]);
         const double between = b->H0[at] - (i ? b->H[at - b->c] : b->before[k]);
         const double within = b->H[at] - b->H0[at] - b->stored[at];
         if (b->judged[k])

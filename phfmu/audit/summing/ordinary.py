@@ -36,8 +36,8 @@ class _Ledger(ctypes.Structure):
         *((name, _AT) for name in ("judged", "owner", "port", "junction", "outside", "part_junction", "projection")),
         ("before", _AT),
         *((f"{part}_{name}", _AT) for name in _SUMS for part in ("high", "low")),
-        *((name, _AT) for name in ("reach", "largest", "stirred", "passed", "worst", "worst_residual", "worst_row")),
-        *((name, _AT) for name in ("worst_junction", "worst_part")),
+        *((name, _AT) for name in ("reach", "largest", "stirred", "turnover", "passed")),
+        *((name, _AT) for name in ("worst", "worst_residual", "worst_row", "worst_junction", "worst_part")),
         ("worst_unexplained", _REAL),
         ("scratch", _AT),
     ]  # fmt: skip
@@ -56,7 +56,7 @@ class Ordinary:
         widths = dict.fromkeys(_SUMS[:7], c) | {"port": len(booking.scalars), "junction": m, "exchanged": m}
         widths |= {"part": len(self._parts)} | dict.fromkeys(_SUMS[11:], 1)
         self._many = sum(widths.values())
-        most = dict.fromkeys(("before", "reach", "largest", "stirred", "worst", "worst_residual"), c)
+        most = dict.fromkeys(("before", "reach", "largest", "stirred", "turnover", "worst", "worst_residual"), c)
         most |= {"passed": m, "worst_junction": m, "worst_part": len(self._parts), "scratch": 7 * (c + m)}
         #: sums, high parts and then low ones, and what else goes in and comes out
         self._state = np.zeros(2 * self._many + sum(most.values()))
@@ -151,6 +151,7 @@ class Ordinary:
             *(a.reach for a in accounts),
             *(a.largest for a in accounts),
             *(a.moved for a in accounts),
+            *(a.turnover for a in accounts),
             *(a.worst_ratio for a in accounts),
             *(a.worst_residual for a in accounts),
             *(passed.get(name, 0.0) for name in self._junctions),
@@ -167,12 +168,13 @@ class Ordinary:
         for each, high, low in zip(sums, state, state[self._many :], strict=False):
             each.high, each.low = high, low
         c, m, at = self._c, len(self._junctions), 2 * self._many + self._c
-        reach, largest, stirred, worst, residual = (state[at + k * c : at + (k + 1) * c] for k in range(5))
+        reach, largest, stirred, turnover, worst, residual = (state[at + k * c : at + (k + 1) * c] for k in range(6))
         for i, (account, end) in enumerate(zip(accounts, H[-1].tolist(), strict=True)):
             account.reach, account.largest, account.moved = reach[i], largest[i], stirred[i]
+            account.turnover = turnover[i]
             account.worst_ratio, account.worst_residual = worst[i], residual[i]
             account.H_end, account.jumps = end, 0.0
-        at += 5 * c
+        at += 6 * c
         self._judge.passed.update(zip(self._junctions, state[at:], strict=False))
         self._sums.junctions.update(zip(self._junctions, state[at + m :], strict=False))
         self._sums.parts.update(zip(self._parts, state[at + 2 * m :], strict=False))
