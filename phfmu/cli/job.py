@@ -164,7 +164,12 @@ def _refuse_compiled_in(args: argparse.Namespace) -> None:
 
 
 #: of signals, for the head line
-SAID: dict[SignalExchange, str] = {"extrapolated": "", "held": ", signals held", "agreed": ", signals iterated"}
+SAID: dict[SignalExchange, str] = {
+    "extrapolated": "",
+    "held": ", signals held",
+    "agreed-or-extrapolated": ", signals iterated",
+    "agreed": ", signals iterated",
+}
 
 
 @dataclass(frozen=True)
@@ -242,7 +247,7 @@ class _Members:
 def apart(
     args: argparse.Namespace, s: Scene, declared: Network, name: str, why: list[str], tried: Mapping[str, Rollback]
 ) -> Job:
-    from phfmu.network.couplings.apart import held_wires
+    from phfmu.network.couplings.apart import circling_units, held_wires
     from phfmu.network.couplings.gathered import composed_words
     from phfmu.network.couplings.named import named_coupling
 
@@ -257,8 +262,10 @@ def apart(
     engines, made = {stepping.engine_of(n) for n in network.declared}, Kernels()
     kernels = kernels_asked(args, engines)
     members = _Members(args, network, coupling, schemes, stepping, step, tried, kernels, made, _steps(args, s))
-    holds = bool(network.wires) and (not coupling.nodes or bool(held_wires(network, members.held)))
-    exchange, lines = _signals(args, network, [n for n, found in tried.items() if not found.works], holds)
+    wires = held_wires(network, members.held) if coupling.nodes else network.wires
+    circling = circling_units(network, wires) if name == NEWTON.name else []
+    holds, stuck = bool(wires), [n for n, found in tried.items() if not found.works]
+    exchange, lines = _signals(args, network, stuck, holds, circling)
     notes += lines
 
     def build() -> Stepper:
@@ -319,10 +326,11 @@ def _node_inputs(scheme: Scheme) -> bool:
 
 
 def _signals(
-    args: argparse.Namespace, network: Network, stuck: Sequence[str], held: bool
+    args: argparse.Namespace, network: Network, stuck: Sequence[str], held: bool, circling: Sequence[str]
 ) -> tuple[SignalExchange, list[str]]:
     """The course of signals over a step if some are `held`, and notes about it: `stuck` units cannot take steps back.
 
+    Signals are iterated where that is asked for, and where those of `circling` units come back to them.
     ValueError where they are to be held and there are none.
     """
     if args.signals_held and not held:
@@ -332,7 +340,12 @@ def _signals(
     if args.signals_held:
         return "held", []
     ends = {end for w in network.wires for end in (w.source, w.target)}
-    if args.coupling != NEWTON.name or not held or not ends & set(network.units):
+    asked = args.coupling == NEWTON.name and held and ends & set(network.units)
+    if not asked and circling and not stuck:
+        return "agreed-or-extrapolated", [
+            f"signals of {', '.join(circling)} come back to them: they are iterated (--signals-held holds them over steps)"
+        ]
+    if not asked:
         return "extrapolated", []
     if stuck:
         return "extrapolated", [f"signals are not iterated: {', '.join(stuck)} cannot take steps back"]

@@ -183,7 +183,7 @@ def _stalls(f: StepFailure) -> bool:
 
 
 #: where signals do not agree
-UNITERATED = "take a smaller step, or leave out --coupling newton, so that signals are taken from the steps before"
+UNITERATED = "take a smaller step, or --signals-held, so that signals are taken from the steps before"
 
 REMEDIES = (
     Remedy(

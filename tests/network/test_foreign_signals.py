@@ -141,7 +141,16 @@ def test_a_loop_without_solution_is_named(tmp_path: Path) -> None:
     with pytest.raises(StepFailure, match="signal two.s -> one.r|signal one.s -> two.r") as found:
         ran(net, 0.01, "agreed")
     assert found.value.status in (Status.SINGULAR, Status.NO_CONVERGENCE)
-    assert "leave out --coupling newton" in str(found.value)
+    assert "--signals-held" in str(found.value)
+
+
+def test_steps_without_agreement_are_told_and_taken_from_the_samples(tmp_path: Path) -> None:
+    fixed = {"a": 0.0, "b": 0.0}
+    net = pair(tmp_path, ONE | fixed | {"d": 2.0}, TWO | fixed | {"d": 0.5})
+    found, samples = (ran(net, 0.01, how, stop=0.1) for how in ("agreed-or-extrapolated", "extrapolated"))
+    assert "signals did not agree in 10 steps, the first at t = 0 s: they were extrapolated there" in found.notes
+    for name in ("one.s", "two.s"):
+        np.testing.assert_array_equal(found.column(name), samples.column(name))
 
 
 def test_growth_is_that_of_a_factor_a_step() -> None:
@@ -183,18 +192,52 @@ def test_command_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: p
     Path("scene.py").write_text(SCENE.format(values={"one": one, "two": two}))
     line = ["run", "scene.py", "--stop", "0.5", "--step", "0.01"]
     heads = []
-    for more in ([], ["--signals-held"], ["--coupling", "newton"], ["--coupling", "newton", "--signals-held"]):
+    newton, jacobi = ["--coupling", "newton"], ["--coupling", "jacobi"]
+    for more in ([], ["--signals-held"], newton, [*newton, "--signals-held"], jacobi):
         assert main([*line, *more, "-o", "rows.csv"]) == 0
         heads.append(capsys.readouterr().out)
     first = [head.splitlines()[0] for head in heads]
-    assert ["signals held" in h for h in first] == [False, True, False, True]
-    assert ["signals iterated" in h for h in first] == [False, False, True, False]
-    assert ["grows without bound" in h for h in heads] == [True, True, False, True]
+    assert ["signals held" in h for h in first] == [False, True, False, True, False]
+    assert ["signals iterated" in h for h in first] == [True, False, True, False, False]
+    assert ["grows without bound" in h for h in heads] == [False, True, False, True, True]
+    assert ["come back to them" in h for h in heads] == [True, False, False, False, False]
     assert main(["run", "oscillator", "--signals-held"]) == 2
     assert "--signals-held is for members that are stepped apart" in capsys.readouterr().err
     assert main(["run", "oscillator", "--coupling", "newton", "--signals-held"]) == 2
     assert "there are none" in capsys.readouterr().err
     assert main(["info", "scene.py"]) == 0 and len(net.units) == 2
+
+
+RELAY_SCENE = """
+from phfmu import Network
+from phfmu.components.control import relay
+from phfmu.fmu.importer.unit_file import unit_file
+
+def thermostat():
+    net = Network("thermostat")
+    net.add("room", unit_file("room.fmu").with_starts({"a": -1.0, "b": 1.0, "c": 1.0, "x": 0.0}))
+    net.add("relay", relay(0.4, 0.6, low=1.0, high=0.0))
+    net.signal("room.s", "relay.measured")
+    net.signal("relay.command", "room.r")
+    return net
+"""
+
+
+@pytest.mark.slow
+def test_a_relay_in_the_circle_switches_where_it_should(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """x' = r - x between 0.4 and 0.6: two arcs of ln(0.6/0.4)."""
+    monkeypatch.chdir(tmp_path)
+    foreign.unit(tmp_path / "room.fmu", "2.0", foreign.FIRST_ORDER, True)
+    Path("scene.py").write_text(RELAY_SCENE)
+    assert main(["run", "scene.py", "--stop", "5", "--step", "0.01", "-o", "rows.csv"]) == 0
+    assert "signals iterated" in capsys.readouterr().out.splitlines()[0]
+    names, *rows = Path("rows.csv").read_text().splitlines()
+    x = np.array([float(row.split(",")[names.split(",").index("room.x")]) for row in rows])
+    turns = np.flatnonzero(np.diff(np.sign(np.diff(x[100:]))) != 0)
+    assert x.max() < 0.62 and x[100:].min() > 0.38
+    assert np.diff(turns).mean() * 0.01 == pytest.approx(np.log(0.6 / 0.4), rel=0.05)
 
 
 def test_units_that_cannot_go_back_are_not_iterated(

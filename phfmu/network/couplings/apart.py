@@ -196,6 +196,22 @@ def held_wires(network: Network, held: Collection[str]) -> list[Wire]:
     ]
 
 
+def circling_units(network: Network, wires: Collection[Wire]) -> list[str]:
+    """Units of other tools whose output comes back to them by `wires`, over other members or at once."""
+    after: dict[str, set[str]] = {}
+    for w in wires:
+        after.setdefault(w.source, set()).add(w.target)
+
+    def comes_back(name: str) -> bool:
+        seen, ahead = set[str](), set(after.get(name, ()))
+        while ahead - seen:
+            seen |= ahead
+            ahead = {target for member in ahead for target in after.get(member, ())}
+        return name in seen
+
+    return [n for n, unit in network.units.items() if not unit.interface.energy and comes_back(n)]
+
+
 class FileOffer:
     """The offer of a unit by its manifest. Its matrix is not known before it runs: all of its impulses may be coupled."""
 

@@ -18,7 +18,7 @@ from phfmu.network.couplings.growth import Growth
 from phfmu.network.couplings.landing.landings import landings
 from phfmu.network.couplings.newton import Newton
 from phfmu.network.couplings.node_newton import NodeNewton, newton, xi_at_end
-from phfmu.network.couplings.signals.agreed_signals import AgreedSignals
+from phfmu.network.couplings.signals.agreed_signals import AgreedSignals, SignalsApart
 from phfmu.network.couplings.signals.held_signals import HeldSignals, SignalExchange
 from phfmu.network.couplings.signals.signal_growth import SignalGrowth
 from phfmu.network.couplings.start_values import start_values
@@ -53,7 +53,7 @@ class Coupled:
     `compiled`: False steps native members by the loop in Python, too, to compare.  `threads`: so many step native members
     between them, None: as many as pay; results do not depend on it.  `signals`: what those that are not exchanged at nodes
     are over a step: the line through the last two samples, the last one ("held"), or a mean that is iterated ("agreed", where
-    the coupling repeats steps and all members take them back).
+    the coupling repeats steps and all members take them back; with "agreed-or-extrapolated" the line where none agrees).
     """
 
     what = "members stepped apart"
@@ -82,7 +82,8 @@ class Coupled:
         at_nodes = self._exchange.wires if self._exchange else ()
         self._signals = HeldSignals(self.joined, at_nodes, extrapolated=signals != "held")
         can = self.coupling.repeats and not self.joined.put_off and self._signals.any_held
-        self._agreed = AgreedSignals(self.joined, self._signals) if signals == "agreed" and can else None
+        self._agreed = AgreedSignals(self.joined, self._signals) if signals.startswith("agreed") and can else None
+        self._apart = SignalsApart(self._signals)
         self._grown = SignalGrowth(self._signals.held)
         self._sums = EndSums(self.joined)
         self._jumps = JumpsApart(self.joined, self._sums)
@@ -103,8 +104,8 @@ class Coupled:
         self.joined.restore(states)
 
     def notes(self) -> list[str]:
-        """Lines about the run so far: signals that grow without bound."""
-        return list(self._grown.told.values())
+        """Lines about the run so far: signals that grow without bound, steps in which they did not agree."""
+        return [*self._grown.told.values(), *self._apart.told()]
 
     @property
     def lands(self) -> bool:
@@ -276,7 +277,16 @@ class Coupled:
         """A step with the signals that it takes."""
         if self._agreed is None:
             return self._solved(step)
-        return self._agreed.step(step, self.last.xi, self._solved, lambda found: xi_at_end(self._exchange, found))
+        xi = self.last.xi
+        try:
+            return self._agreed.step(step, xi, self._solved, lambda found: xi_at_end(self._exchange, found))
+        except Unconverged as failure:
+            if not failure.signals or self._signals_are != "agreed-or-extrapolated":
+                raise
+        self.joined.restore(step.states)
+        self._agreed.found = None
+        self._apart.take(step, xi)
+        return self._solved(step)
 
     def _solved(self, step: Step) -> Solution:
         """The solution of the step; of an iteration that is given up, units that do not repeat a step are told."""

@@ -47,6 +47,27 @@ class _Trial:
         return float(np.max(np.abs(self.r) / self.size, initial=0.0))
 
 
+class SignalsApart:
+    """Steps in which signals do not agree, as where one jumps at a threshold: they are taken from the samples, and counted."""
+
+    def __init__(self, signals: HeldSignals):
+        self._signals, self._steps, self._first = signals, 0, 0.0
+
+    def take(self, step: Step, xi: Array) -> None:
+        """Inputs of the step from the samples at its start."""
+        self._signals.set_now(self._signals.now, xi)
+        self._signals.hold(step.h, xi)
+        self._first = self._first if self._steps else step.t
+        self._steps += 1
+
+    def told(self) -> list[str]:
+        """A line about them, if there are any."""
+        if not self._steps:
+            return []
+        steps = "1 step" if self._steps == 1 else f"{self._steps} steps, the first"
+        return [f"signals did not agree in {steps} at t = {self._first:.6g} s: they were extrapolated there"]
+
+
 class AgreedSignals:
     """The iteration, for members that all can take steps back."""
 

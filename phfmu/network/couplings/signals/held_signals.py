@@ -27,11 +27,12 @@ from phfmu.signals import of_member
 
 Array = NDArray[np.float64]
 
-#: what a held signal is over a step: the line through the last two samples, the last one, or a mean that is iterated
-SignalExchange = Literal["extrapolated", "held", "agreed"]
+#: what a held signal is over a step: the line through the last two samples, the last one, or a mean that is iterated, in the
+#: steps in which one is found or in all
+SignalExchange = Literal["extrapolated", "held", "agreed-or-extrapolated", "agreed"]
 #: the order that follows
 ORDER = 2
-ORDERS: dict[SignalExchange, int] = {"extrapolated": ORDER, "held": 1, "agreed": ORDER}
+ORDERS: dict[SignalExchange, int] = {"extrapolated": ORDER, "held": 1, "agreed-or-extrapolated": ORDER, "agreed": ORDER}
 #: where state events follow signals or signals follow what events set: one is seen at the next step
 ORDER_OF_EVENTS = 1
 

@@ -45,7 +45,7 @@ class SignalGrowth:
                 self.told[i] = (
                     f"signal {self._wires[i]} grows without bound: {size[i]:.3g} at t = {t:.6g} s, {before:.3g} at "
                     f"t = {start:.6g} s; a loop of signals that are held over steps may be unstable: take a smaller step, or "
-                    "--coupling newton, which iterates them where units can take steps back"
+                    "--coupling newton without --signals-held, which iterates them where units can take steps back"
                 )
 
 
