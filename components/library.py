@@ -114,6 +114,9 @@ LIBRARY: dict[str, tuple[str, str, str]] = {
     "smib_hydro": ("scene", _S + "smib", "hydro generator at an infinite bus, torque step"),
     "smib_folded": ("scene", _S + "smib", "smib with the line folded into the machine: full order"),
     "smib_breaker": ("scene", _S + "smib", "turbo generator, two lines: fault, line opened at its current zeros"),
+    "spin_down": ("scene", _S + "single_machine", "generator without torque brakes on a resistor"),
+    "stall_start": ("scene", _S + "single_machine", "synchronous machine starts from standstill by its dampers"),
+    "lossless": ("scene", _S + "single_machine", "machine without resistance at capacitors: no joule leaves"),
     "motor_start": ("scene", _S + "motor_start", "induction motor across a line, from rest, then loaded"),
     "ladder": ("scene", _S + "ladder", "two machines with loads along a line, torque step"),
     "island": ("scene", _S + "island", "turbine, governor, exciter, stabiliser, machine, line; load step"),
@@ -125,6 +128,7 @@ LIBRARY: dict[str, tuple[str, str, str]] = {
 
 #: Scenes of large grids, which what is done with all of the library leaves out.
 GRIDS: dict[str, tuple[str, str, str]] = {
+    "wscc9_trip": ("scene", _S + "wscc9", "nine buses: three-phase fault, line 5-7 opened at its current zeros"),
     "ieee39": ("scene", _S + "grids", "39 buses, ten machines: three-phase fault, lines that trip"),
     "new_england": ("scene", _S + "grids", "39 buses of New England, two-axis machines: three-phase fault"),
     "wecc240": ("scene", _S + "grids", "243 buses, 111 machines, 91 plants: three-phase fault"),

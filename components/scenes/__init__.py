@@ -12,12 +12,13 @@ from phfmu.components.scenes.motor_start import motor_start
 from phfmu.components.scenes.network_events import inrush, short_circuit
 from phfmu.components.scenes.oscillator import oscillator
 from phfmu.components.scenes.rectifier import rectifier, six_pulse
+from phfmu.components.scenes.single_machine import lossless, spin_down, stall_start
 from phfmu.components.scenes.smib import smib, smib_breaker, smib_folded, smib_hydro
 from phfmu.components.scenes.speed_control import speed_control
 from phfmu.components.scenes.stops import buffer, hard_stop
 from phfmu.components.scenes.two_machine import two_machine
 from phfmu.components.scenes.two_point_control import two_point_control
-from phfmu.components.scenes.wscc9 import wscc9, wscc9_steady
+from phfmu.components.scenes.wscc9 import wscc9, wscc9_steady, wscc9_trip
 
 __all__ = [
     "bead",
@@ -31,6 +32,7 @@ __all__ = [
     "inrush",
     "island",
     "ladder",
+    "lossless",
     "motor_start",
     "oscillator",
     "rectifier",
@@ -42,8 +44,11 @@ __all__ = [
     "smib_folded",
     "smib_hydro",
     "speed_control",
+    "spin_down",
+    "stall_start",
     "two_machine",
     "two_point_control",
     "wscc9",
     "wscc9_steady",
+    "wscc9_trip",
 ]

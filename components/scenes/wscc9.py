@@ -7,6 +7,7 @@ from math import pi, sqrt
 from typing import Any
 
 from phfmu import Event, Network, Scene
+from phfmu.components.electrical.breaker import breaker
 from phfmu.components.electrical.machines.machine_data import MachineData
 from phfmu.components.electrical.machines.machine_init import ALPHA
 from phfmu.components.electrical.machines.machine_per_unit import from_per_unit
@@ -67,6 +68,30 @@ def wscc9_steady(*, stop: float = 1.0, coordinates: Coordinates = "dq-flux") -> 
     return Scene("wscc9_steady", net, stop=stop, step=5e-5, description=net.description)
 
 
+def wscc9_trip(
+    *,
+    t_fault: float = 0.1,
+    t_clear: float = 0.18,
+    stop: float = 2.0,
+    chop: float = 0.0,
+    coordinates: Coordinates = "dq-flux",
+) -> Scene:
+    """`wscc9` whose line 5-7 is opened when the fault ends: each pole at its next current zero.
+
+    Arguments: those of `wscc9`; chop [A], current below which a pole opens already, its energy L i^2/2 lost
+
+    The mode line57.closed tells each pole; the charging of the line stays at its buses.
+    """
+    point = _point(coordinates)
+    net = point.started()
+    (R, L), v, i = _line("line57"), VOLTAGE * sqrt(2.0 / 3.0), sqrt(2.0 / 3.0) * BASE / VOLTAGE
+    start = [point.states[f"line57.flux[{k}]"] / L for k in (1, 2, 3)]
+    net.members["line57"] = breaker(R, L, chop=chop, i=i, v=v, start=start)
+    net.description = "nine buses, three machines; three-phase fault at bus 7, line 5-7 opened at its current zeros"
+    events = (Event(t_fault, "fault.G", 1.0), Event(t_clear, "fault.G", 0.0), Event(t_clear, "line57.command", 0.0))
+    return Scene("wscc9_trip", net, stop=stop, step=5e-5, events=events, description=net.description, restart=4)
+
+
 def machine_of(number: str) -> MachineData:
     """The machine `1`, `2` or `3` on the base of 100 MVA; its field takes 1000 A at rated voltage without load."""
     voltage = PLANTS[number][2]
@@ -101,8 +126,8 @@ def _flat(coordinates: Coordinates) -> tuple[Network, list[Specification]]:
         ends[bus].append(f"transformer{k}.a")
         V = share * rated
         specifications.append(PV(f"gen{k}.terminal", P=P, V=V) if P else Slack(f"gen{k}.terminal", V=V))
-    for name, (r, x, b) in LINES.items():
-        net.add(name, rl_line(r * Z, x * Z / w, v=v, rated=sqrt(2.0 / 3.0) * BASE / VOLTAGE))
+    for name, (_, _, b) in LINES.items():
+        net.add(name, rl_line(*_line(name), v=v, rated=sqrt(2.0 / 3.0) * BASE / VOLTAGE))
         for bus, end in zip(name[4:], "ab", strict=True):
             ends[bus].append(f"{name}.{end}")
             charging[bus] += b / 2
@@ -119,6 +144,13 @@ def _flat(coordinates: Coordinates) -> tuple[Network, list[Specification]]:
     for bus, ports in ends.items():
         net.junction(f"bus{bus}", ports)
     return net, specifications
+
+
+def _line(name: str) -> tuple[float, float]:
+    """R [ohm] and L [H] of a line."""
+    r, x, _ = LINES[name]
+    Z = VOLTAGE**2 / BASE
+    return r * Z, x * Z / (2.0 * pi * FREQUENCY)
 
 
 def _phases(phasor: complex) -> list[float]:

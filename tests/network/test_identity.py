@@ -46,7 +46,17 @@ EVENTS = {
 STOPPED = {("breaker_opening", "jacobi"), ("smib_breaker", "anderson, stopped")}
 SCENES = [n for n, (kind, *_) in LIBRARY.items() if kind == "scene"]
 #: nodes where only inductive branches meet: no output gives their voltage at an instant
-BARE = {"smib", "smib_hydro", "two_machine", "smib_breaker", "six_pulse", "motor_start", "wscc9", "wscc9_steady"}
+BARE = {
+    "smib",
+    "smib_hydro",
+    "two_machine",
+    "smib_breaker",
+    "six_pulse",
+    "motor_start",
+    "wscc9",
+    "wscc9_steady",
+    "stall_start",
+}
 QUICK = {"oscillator", "drive"}
 
 COUPLINGS: dict[str, Callable[[Any], Any]] = {
