@@ -17,6 +17,7 @@ class Holonomic:
     drive: port at which the work lambda^T g_t of constraints that depend on `time` is booked (one may serve several);
            None = `<multiplier>_drive` if it is needed
     label: what it is, for reports (`bar particle 1-particle 2`)
+    kept:  of constraints that depend on each other those without this flag rest; it is for the constraints inside a body
     """
 
     multiplier: Variable
@@ -24,6 +25,7 @@ class Holonomic:
     owner: str = ""
     drive: Port | None = None
     label: str = ""
+    kept: bool = False
 
     def with_drive(self) -> Holonomic:
         """Itself, or a copy with a drive if it moves and has none."""

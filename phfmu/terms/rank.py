@@ -94,7 +94,7 @@ def constraint_rank(model: PHDAE) -> ConstraintRank:
     labels = constraint_labels(model)
     redundant: dict[int, Redundant] = {}
     groups = []
-    for d in dependences(jacobian):
+    for d in dependences(jacobian, kept_rows(terms)):
         kept = [i for i in d.rows if i not in d.resting]
         for r in d.resting:
             row = jacobian[r].toarray().ravel()
@@ -122,12 +122,19 @@ class Dependence:
     resting: tuple[int, ...]
 
 
-def dependences(jacobian: csc_matrix) -> list[Dependence]:
+def kept_rows(terms: Terms) -> NDArray[np.bool_]:
+    """Which constraints, in order, rest only where no others can."""
+    names = [n for v in terms.model.algebraics for n in v.names()]
+    kept = {n for c in terms.model.constraints if c.kept for n in c.multiplier.names()}
+    return np.array([names[t.rows[0].index] in kept for t in terms.of(CONSTRAINT)], bool)
+
+
+def dependences(jacobian: csc_matrix, kept: NDArray[np.bool_]) -> list[Dependence]:
     """Groups of rows with common null vectors of Dg^T, each row in one group at most.
 
     A sparse factor of Dg Dg^T finds candidates; the null vectors Y of their surroundings, from rows of length 1, tell.  QR of
     Y^T with pivoting chooses the rows with the largest shares to rest: the others are then as well conditioned as
-    they can be.  Of equal ones the last rests.
+    they can be.  Of equal ones the last rests; those `kept` only where no others can.
     """
     from scipy.sparse import csr_matrix, diags
 
@@ -138,7 +145,7 @@ def dependences(jacobian: csc_matrix) -> list[Dependence]:
         left, s, _ = np.linalg.svd(scaled[rows].toarray())
         null = left[:, int(np.sum(s > TOLERANCE)) :]
         shares = np.linalg.norm(null, axis=1)
-        found += [_chosen(np.array(rows)[part], null[part]) for part in _together(null, shares)]
+        found += [_chosen(np.array(rows)[part], null[part], kept) for part in _together(null, shares)]
     return found
 
 
@@ -178,11 +185,11 @@ def _together(null: Array, shares: Array) -> list[NDArray[np.intp]]:
     return [np.flatnonzero(label == g) for g in np.unique(label[shares > TOLERANCE])]
 
 
-def _chosen(rows: NDArray[np.int64], null: Array) -> Dependence:
+def _chosen(rows: NDArray[np.int64], null: Array, kept: NDArray[np.bool_]) -> Dependence:
     from scipy.linalg import qr
 
     many = int(round(float(np.sum(null**2))))  # trace of the projector on their null vectors
-    prefer = 1.0 + 1e-6 * np.arange(len(rows)) / len(rows)
+    prefer = (1.0 + 1e-6 * np.arange(len(rows)) / len(rows)) * np.where(kept[rows], 1e-6, 1.0)
     order = qr((null * prefer[:, None]).T, mode="economic", pivoting=True)[-1]
     return Dependence(tuple(rows.tolist()), tuple(sorted(rows[order[:many]].tolist())))
 
@@ -248,7 +255,7 @@ def at_start(terms: Terms) -> Terms:
     jacobian = constraint_jacobian(terms)
     sizes = abs(jacobian) @ np.array(moving)
     sizes[sizes == 0.0] = np.max(sizes, initial=0.0) or 1.0  # no gradient here, perhaps later
-    rests = [owner[i] for d in dependences(jacobian) for i in d.resting]
+    rests = [owner[i] for d in dependences(jacobian, kept_rows(terms)) for i in d.resting]
     return terms.having(ConstraintsAtStart(dict(zip(owner, sizes.tolist(), strict=True)), frozenset(rests)))
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
 import casadi as ca
@@ -13,19 +13,22 @@ from phfmu import (
     Block,
     Energy,
     Holonomic,
+    Observable,
     Port,
     Variable,
     algebraic,
     block,
     drive,
     energy,
+    observable,
     parameter,
     skew,
     state,
     strain_energy,
     time,
 )
-from phfmu.components.mechanical.multibody_parts import (
+from phfmu.components.mechanical.multibody.parts import (
+    Combined,
     Constraint,
     DrivenPoint,
     MovingSupport,
@@ -33,6 +36,7 @@ from phfmu.components.mechanical.multibody_parts import (
     Parts,
     Places,
     Point,
+    Rate,
     Support,
 )
 
@@ -46,20 +50,29 @@ class Declaration:
         if not n:
             raise ValueError(f"{parts.name}: no particles")
         q, v = [x for m in masses for x in m.q], [x for m in masses for x in m.v]
-        axes = [f"{i + 1}{axis}" for i in range(len(masses)) for axis in "xyz"[:dim]]
+        called = [f"{m.called}." if m.called else str(i + 1) for i, m in enumerate(masses)]
+        axes = [f"{name}{axis}" for name in called for axis in "xyz"[:dim]]
         self.q = state("q", n, unit="m", start=q, description="positions of the particles", elements=axes)
         self.v = state("v", n, unit="m/s", start=v, description="velocities of the particles", elements=axes)
         self.m = parameter("m", [m.mass for m in masses], len(masses), unit="kg", description="masses")
+        #: multiplier of each constraint, by its label
+        self.multiplier: dict[str, Variable] = {}
         damped = {p for d in parts.dampers for p in (d.a, d.b) if isinstance(p, DrivenPoint)}
         self.s = {
             p: state(f"{p.name}.q", dim, unit="m", start=p.q, description=f"position of {p.name}") for p in parts.driven
         }
         self.w = {p: algebraic(f"{p.name}.w", dim, unit="m/s", description=f"velocity of {p.name}") for p in damped}
         self.f = {p: algebraic(f"{p.name}.f", dim, unit="N", description=f"force on {p.name}") for p in damped}
+        self.integral = {i.name: state(i.name, unit=i.unit, start=i.start) for i in parts.integrals}
+        self.driven = {
+            p.name: algebraic(f"{p.name}.drive", unit=p.domain.effort_unit, description=f"drives {p.name}")
+            for p in parts.rate_ports
+            if p.given == "flow"
+        }
 
     def at(self, point: Point) -> ca.SX:
         """Its position (dim x 1). Errors: ValueError for what is no point."""
-        if not isinstance(point, Particle | Support | MovingSupport | DrivenPoint):
+        if not isinstance(point, Particle | Support | MovingSupport | DrivenPoint | Combined):
             raise ValueError(
                 f"{self.parts.name}: at({point!r}): that is no point; give what particle(), support(), moving_support() or "
                 "driven_point() returned"
@@ -68,17 +81,34 @@ class Declaration:
             return ca.SX(ca.DM(list(point.position)))
         if isinstance(point, MovingSupport):
             return ca.vertcat(*map(ca.SX, point.position(time)))
+        if isinstance(point, Combined):
+            fixed = 0 if point.fixed is None else point.fixed
+            return _weighted(point, self.parts.dim, self.at) + fixed
         return self.s[point].sx if isinstance(point, DrivenPoint) else self.q[self.parts.rows(point)]
+
+    def speed(self, point: Point) -> ca.SX:
+        """Its velocity (dim x 1), zero for supports."""
+        if isinstance(point, Combined):
+            return _weighted(point, self.parts.dim, self.speed)
+        if isinstance(point, Particle):
+            return self.v[self.parts.rows(point)]
+        return self.w[point].sx if isinstance(point, DrivenPoint) else ca.SX(self.parts.dim, 1)
 
     def part(self, particle: Particle) -> Variable:
         """Its velocity."""
         return self.v.part(particle.number * self.parts.dim, self.parts.dim)
 
-    def velocity(self, point: Point) -> Variable | None:
-        """The variable a damper acts on, None for supports."""
-        if isinstance(point, Particle):
-            return self.part(point)
-        return self.w[point] if isinstance(point, DrivenPoint) else None
+    def velocities(self, points: Iterable[Point]) -> list[Variable]:
+        """The variables that the velocities of points are made of, each once; none for supports."""
+        particles = dict.fromkeys(p for x in points for p in _particles(x))
+        return [self.part(p) if isinstance(p, Particle) else self.w[p] for p in particles]
+
+    def linear_form(self, points: Sequence[Point], rate: Rate) -> tuple[list[Variable], ca.SX]:
+        """The velocities and J(q) of rate = J v."""
+        on = self.velocities(points)
+        if not on:
+            return on, ca.SX(self.parts.dim, 0)
+        return on, ca.jacobian(rate(self.at, self.speed), ca.vertcat(*(v.sx for v in on)))
 
     def phdae(self) -> PHDAE:
         parts = self.parts
@@ -86,17 +116,21 @@ class Declaration:
         structure = [skew(self.q, self.v, 1.0)]
         for p, w in self.w.items():
             structure += [skew(self.s[p], w, 1.0), skew(w, self.f[p], 1.0)]
+        structure += self.rates()
+        energies, dissipation = tuple(self.energies()), tuple(self.dissipation())
+        ports, observables = tuple(self.ports()), tuple(self.observables())
         return PHDAE(
             parts.name,
-            states=(self.q, self.v, *self.s.values()),
-            algebraics=(*multipliers, *self.w.values(), *self.f.values()),
-            parameters=(self.m, *parts.parameters),
-            energies=tuple(self.energies()),
+            states=(self.q, self.v, *self.s.values(), *self.integral.values()),
+            algebraics=(*multipliers, *self.w.values(), *self.f.values(), *self.driven.values()),
+            parameters=(self.m, *parts.parameters),  # some are made by the expressions above
+            energies=energies,
             E={self.v: ca.vertcat(*(s for s in ca.vertsplit(self.m.sx) for _ in range(parts.dim)))},
             structure=tuple(structure),
-            dissipation=tuple(self.dissipation()),
-            ports=tuple(self.ports()),
+            dissipation=dissipation,
+            ports=ports,
             constraints=constraints,
+            observables=observables,
             description=parts.description,
         )
 
@@ -109,14 +143,43 @@ class Declaration:
                 yield energy(-m * ca.dot(ca.DM(list(parts.gravity)), self.at(p)))
         for s in parts.springs:
             yield strain_energy(ca.sumsqr(self.at(s.b) - self.at(s.a)), s.potential)
+        for s in parts.strains:
+            yield strain_energy(s.invariant(self.at), s.potential)
         for made in parts.potentials:
             yield energy(self.of_positions("a potential", made))
+        for i, angle in zip(parts.integrals, self.integral.values(), strict=True):
+            if i.energy is not None:
+                yield energy(i.energy(angle.sx))
+
+    def rates(self) -> Iterator[Block]:
+        """Structure of what integrates a rate, and of the forces that keep one."""
+        for i, angle in zip(self.parts.integrals, self.integral.values(), strict=True):
+            for v, column in self.columns(i.points, i.rate):
+                yield skew(angle, v, column.T)
+        for p in self.parts.rate_ports:
+            if p.given == "flow":
+                for v, column in self.columns(p.points, p.rate):
+                    yield skew(v, self.driven[p.name], column)
+
+    def columns(self, points: Sequence[Point], rate: Rate) -> Iterator[tuple[Variable, ca.SX]]:
+        """Velocity and its rows of J^T, where they are not zero."""
+        on, form = self.linear_form(points, rate)
+        first = 0
+        for v in on:
+            column = form[:, first : first + v.n].T
+            first += v.n
+            if column.nnz():
+                yield v, ca.densify(column)
 
     def dissipation(self) -> Iterator[Block]:
         for d in self.parts.dampers:
-            ends = [v for v in map(self.velocity, (d.a, d.b)) if v is not None]
-            if ends:
-                yield block(ends, d.matrix(self.at(d.b) - self.at(d.a), len(ends)))
+            on, form = self.linear_form((d.a, d.b), lambda _, speed, d=d: speed(d.b) - speed(d.a))
+            if on:
+                yield block(on, d.matrix(self.at(d.b) - self.at(d.a), form))
+        for r in self.parts.rate_dampers:
+            columns = list(self.columns(r.points, r.rate))
+            form = ca.vertcat(*(c for _, c in columns))
+            yield block([v for v, _ in columns], ca.mtimes(form, form.T) * getattr(r.value, "sx", r.value))
 
     def ports(self) -> Iterator[Port]:
         dim = self.parts.dim
@@ -128,14 +191,22 @@ class Declaration:
         for p in self.parts.driven:
             on = {self.f.get(p, self.s[p]): one}
             yield Port(p.name, TRANSLATIONAL, "flow", on, dim, description=f"velocity of the driven point {p.name}")
+        for p in self.parts.rate_ports:
+            on = {self.driven[p.name]: 1.0} if p.given == "flow" else dict(self.columns(p.points, p.rate))
+            yield Port(p.name, p.domain, p.given, on, description=p.description)
+
+    def observables(self) -> Iterator[Observable]:
+        for r in self.parts.reported:
+            yield observable(r.name, r.of(self), unit=r.unit, description=r.description)
 
     def constraints(self) -> tuple[tuple[Holonomic, ...], tuple[Variable, ...]]:
         """Constraints and the multiplier variable they share by parts."""
         items = [(c, ca.SX(self.of_positions(c.label, c.g))) for c in (*self.parts.bars, *self.parts.constraints)]
         if not items:
             return (), ()
-        total = sum(g.numel() for _, g in items)
-        lam = algebraic("lambda", total, unit="N/m", description="multipliers")
+        shared = sum(g.numel() for c, g in items if c.multiplier is None)
+        lam = algebraic("lambda", shared, unit="N/m", description="multipliers") if shared else None
+        variables = [lam] if lam else []
         drives: dict[str, Port] = {}
         out, first = [], 0
         for c, g in items:
@@ -143,9 +214,17 @@ class Declaration:
             if ca.depends_on(g, time):
                 name = self.drive_name(c, g)
                 port = drives.setdefault(name, drive(name, description=f"work of the moving constraints of {name}"))
-            out.append(Holonomic(lam.part(first, g.numel()), ca.vec(g), drive=port, label=c.label))
-            first += g.numel()
-        return tuple(out), (lam,)
+            if c.multiplier is not None:
+                name, unit = c.multiplier
+                own = algebraic(name, g.numel(), unit=unit, description=f"multipliers of {c.label}")
+                variables.append(own)
+            else:
+                assert lam is not None
+                own = lam.part(first, g.numel())
+                first += g.numel()
+            self.multiplier[own.name if c.multiplier else c.label] = own
+            out.append(Holonomic(own, ca.vec(g), drive=port, label=c.label, kept=c.kept))
+        return tuple(out), tuple(variables)
 
     def of_positions(self, label: str, made: Callable[[Places], Any]) -> Any:
         """A function of positions, made; ValueError says how positions are indexed where CasADi refuses what it does."""
@@ -174,3 +253,17 @@ class Declaration:
                 "apart; give them one name, or name the constraint's drive"
             )
         return c.drive or next(iter(touched), "drive")
+
+
+def _particles(point: Point) -> tuple[Particle | DrivenPoint, ...]:
+    """What moves a point."""
+    if isinstance(point, Combined):
+        return tuple(p for p, _ in point.terms)
+    return (point,) if isinstance(point, Particle | DrivenPoint) else ()
+
+
+def _weighted(point: Combined, dim: int, of: Callable[[Point], ca.SX]) -> ca.SX:
+    total = ca.SX(dim, 1)
+    for particle, weight in point.terms:
+        total += ca.mtimes(ca.SX(weight), of(particle)) if ca.SX(weight).numel() > 1 else weight * of(particle)
+    return total

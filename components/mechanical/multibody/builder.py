@@ -12,23 +12,32 @@ import casadi as ca
 
 from phfmu import (
     PHDAE,
+    Domain,
     Variable,
     parameter,
     time,
 )
-from phfmu.components.mechanical.multibody_declaration import Declaration
-from phfmu.components.mechanical.multibody_parts import (
+from phfmu.components.mechanical.multibody.declaration import Declaration
+from phfmu.components.mechanical.multibody.parts import (
+    Combined,
     Constraint,
     Damper,
     DrivenPoint,
+    Given,
     MovingSupport,
     Particle,
     Parts,
     Places,
     Point,
     PointMass,
+    Rate,
+    RateDamper,
+    RateIntegral,
+    RatePort,
+    Reported,
     Scalar,
     Spring,
+    Strain,
     Support,
 )
 
@@ -54,11 +63,17 @@ class Multibody:
     # -- points -----------------------------------------------------------------------------------------------------
 
     def particle(
-        self, mass: float, q: Sequence[float], v: Sequence[float] | None = None, *, weight: bool = True
+        self,
+        mass: float,
+        q: Sequence[float],
+        v: Sequence[float] | None = None,
+        *,
+        weight: bool = True,
+        name: str = "",
     ) -> Particle:
         """A point mass [kg] at q [m] with velocity v [m/s] (default: at rest).
 
-        Mass 0 is allowed where constraints fix the point; `weight=False`: gravity does not act on it.
+        Mass 0 is allowed where constraints fix the point; `weight=False`: gravity does not act on it; `name`: in pictures.
         """
         label = f"particle {len(self.parts.masses) + 1}"
         velocity = [0.0] * self.dim if v is None else list(v)
@@ -68,7 +83,9 @@ class Multibody:
             raise ValueError(
                 f"{self.name}: {label}: mass {mass} kg must be positive, or 0 where constraints fix the point"
             )
-        self.parts.masses.append(PointMass(float(mass), tuple(map(float, q)), tuple(map(float, velocity)), weight))
+        self.parts.masses.append(
+            PointMass(float(mass), tuple(map(float, q)), tuple(map(float, velocity)), weight, name)
+        )
         return Particle(len(self.parts.masses) - 1)
 
     def support(self, position: Sequence[float]) -> Support:
@@ -90,10 +107,18 @@ class Multibody:
     # -- forces -----------------------------------------------------------------------------------------------------
 
     def parameter(
-        self, name: str, value: Any, *, unit: str = "1", min: float | None = None, description: str = ""
+        self,
+        name: str,
+        value: Any,
+        size: int | None = None,
+        *,
+        unit: str = "1",
+        min: float | None = None,
+        positive: bool = False,
+        description: str = "",
     ) -> Variable:
-        """A parameter that springs, dampers and constraints may use, at least `min`."""
-        made = parameter(name, value, unit=unit, min=min, description=description)
+        """A parameter that springs, dampers, constraints and rates may use; `min`, `positive`: its limits."""
+        made = parameter(name, value, size, unit=unit, min=min, positive=positive, description=description)
         self.parts.parameters.append(made)
         return made
 
@@ -106,13 +131,17 @@ class Multibody:
         """An elastic bond with energy potential(r) of the distance r = |b - a| [m]."""
         self.spring(a, b, lambda s: potential(ca.sqrt(s)))
 
-    def linear_spring(self, a: Point, b: Point, k: Any, length: float) -> None:
+    def linear_spring(self, a: Point, b: Point, k: Any, length: Any) -> None:
         """1/2 k (|b - a| - length)^2 with k in N/m."""
         self.distance_spring(a, b, lambda r: 0.5 * k * (r - length) ** 2)
 
     def quartic_spring(self, a: Point, b: Point, k: Any, length: float = 1.0) -> None:
         """1/2 k (|b - a|^2 - length^2)^2 with k in N/m3."""
         self.spring(a, b, lambda s: 0.5 * k * (s - length**2) ** 2)
+
+    def strain(self, invariant: Callable[[Places], ca.SX], potential: Scalar) -> None:
+        """The energy potential(c) [J] of an invariant c of positions, of degree two at most: exact at every order."""
+        self.parts.strains.append(Strain(invariant, potential))
 
     def potential(self, energy_of: Callable[[Places], ca.SX]) -> None:
         """Any energy [J] of positions; `energy_of` gets a function `at` of points, see `constraint`."""
@@ -149,21 +178,63 @@ class Multibody:
             )
         )
 
-    def constraint(self, g: Callable[[Places], Any], name: str = "", *, drive: str = "") -> None:
+    def constraint(
+        self,
+        g: Callable[[Places], Any],
+        name: str = "",
+        *,
+        drive: str = "",
+        multiplier: tuple[str, str] | None = None,
+        kept: bool = False,
+    ) -> None:
         """Holonomic constraints g = 0 (one, or a column) of positions: `constraint(lambda at: at(piston)[1])` keeps y = 0.
 
         `g` gets a function `at`: at(piston) is the position [m] of a point as a column of `dim` entries, which count from 0 as
         everywhere in Python: [0] is x, [1] is y, [2] is z.  Names in results count from 1: q[1] is x of the first particle.
         g may use `phfmu.time` and moving supports; then its work is booked at the port `drive` (default: the name of the
-        moving support, else `drive`).
+        moving support, else `drive`).  `multiplier`: name and unit of multipliers of their own instead of `lambda`;
+        `kept`: where constraints depend on each other, others rest.
         """
-        self.parts.constraints.append(
-            Constraint(g, name or f"constraint {len(self.parts.constraints) + 1}", drive=drive)
-        )
+        label = name or f"constraint {len(self.parts.constraints) + 1}"
+        self.parts.constraints.append(Constraint(g, label, drive=drive, multiplier=multiplier, kept=kept))
 
     def port(self, name: str, particle: Particle, base: Particle | None = None) -> None:
         """A port at a particle: force given, velocity out (`dim` scalar pairs); with `base`, both relative to it."""
         self.parts.ports.append((name, particle, base))
+
+    # -- rates: linear forms J(q) v of velocities -------------------------------------------------------------------
+
+    def rate_port(
+        self, name: str, domain: Domain, given: Given, points: Sequence[Point], rate: Rate, description: str = ""
+    ) -> None:
+        """A port at a rate J(q) v of points, e.g. the speed of a joint.
+
+            given "effort":  M v' = .. + J^T u,  y = J v;       "flow":  J v = u,  M v' = .. + J^T y
+
+        `rate(at, speed)` gets the functions for positions and velocities of `points`, and is linear in the latter.
+        """
+        self.parts.rate_ports.append(RatePort(name, domain, given, tuple(points), rate, description))
+
+    def rate_damper(self, points: Sequence[Point], rate: Rate, value: Any) -> None:
+        """Dissipation |J v|^2 value of a rate; `value`: a number or a parameter."""
+        self.parts.rate_dampers.append(RateDamper(tuple(points), rate, value))
+
+    def rate_integral(
+        self,
+        name: str,
+        points: Sequence[Point],
+        rate: Rate,
+        *,
+        unit: str,
+        start: float = 0.0,
+        energy: Scalar | None = None,
+    ) -> None:
+        """A state s, s' = J(q) v, as an angle that counts turns, with `energy(s)` [J]: M v' = .. - J^T energy'(s)."""
+        self.parts.integrals.append(RateIntegral(name, unit, float(start), tuple(points), rate, energy))
+
+    def observable(self, name: str, unit: str, of: Callable[[Any], ca.SX], description: str = "") -> None:
+        """A reported expression of(d) of d.at(point), d.speed(point) and d.multiplier[label]."""
+        self.parts.reported.append(Reported(name, unit, of, description))
 
     # -- the declaration --------------------------------------------------------------------------------------------
 
@@ -199,10 +270,14 @@ class Multibody:
         if isinstance(point, MovingSupport):
             expr = ca.vertcat(*map(ca.SX, point.position(time)))
             return [float(x) for x in ca.DM(ca.Function("s", [time], [expr])(0.0)).full().ravel()]
-        return self.parts.masses[point.number].q
+        if isinstance(point, Particle):
+            return self.parts.masses[point.number].q
+        raise ValueError(f"{self.name}: the length of a bar to a combined point is not known; give it")
 
 
 def _label(point: Point) -> str:
     if isinstance(point, Particle):
         return f"particle {point.number + 1}"
+    if isinstance(point, Combined):
+        return "a combined point"
     return f"support {point.position}" if isinstance(point, Support) else f"'{point.name}'"

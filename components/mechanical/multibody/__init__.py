@@ -1,0 +1,7 @@
+"""Systems of particles, rigid bodies and joints: `Multibody` for particles, `Mechanism` for bodies and joints."""
+
+from phfmu.components.mechanical.multibody.builder import Multibody
+from phfmu.components.mechanical.multibody.mechanism import Mechanism
+from phfmu.components.mechanical.multibody.parts import Particle, Point
+
+__all__ = ["Mechanism", "Multibody", "Particle", "Point"]

@@ -1,0 +1,344 @@
+"""Mechanisms of rigid bodies, joints, loops and drives, in space or in the plane.
+
+    q' = v,   M v' = -DV(q) - R(q) v - Dg(q)^T lambda + J(q)^T u,   0 = g(q),   y = J(q) v
+
+with q the centres of mass and the principal directors of the bodies: M is constant and diagonal, g of degree two.
+Source: P. Betsch, P. Steinmann, Int. J. Numer. Meth. Engng. 50 (2001), for rigid bodies in directors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal
+
+import numpy as np
+
+from phfmu import PHDAE
+from phfmu.components.mechanical.multibody.assembly import Assembly, require_closed, unallowed
+from phfmu.components.mechanical.multibody.body import Body, Spring, frame_along, tensor
+from phfmu.components.mechanical.multibody.equations import Equations, MechanismParts
+from phfmu.components.mechanical.multibody.joint import Joint, finite, known_kind
+from phfmu.components.mechanical.multibody.mobility import Mobility, mobility
+
+#: the ground, as a body of joints and springs
+GROUND = None
+
+
+class Mechanism:
+    """Bodies and joints; `assemble` places them, `build` gives the declaration.
+
+    planar:   all motion is in the x-y plane: points have 2 entries, inertias are one moment about z, and no loop has
+              equations twice
+    gravity:  [m/s2], 3 entries or 2; default: 9.81 m/s2 against z, in the plane against y
+
+    States:       q, v: positions and velocities of centres of mass and directors; `NAME.turned` of joints that count turns
+    Multipliers:  `NAME.lambda` of joints [N], `NAME.lambda_axes` [N.m], `NAME.rigid` of bodies [N/m]
+    Observables:  of a body NAME.position [m] (centre of mass), rotation (3 x 3, by columns; in the plane NAME.angle),
+                  angular_velocity [rad/s], momentum, energy;  of a joint NAME.force [N] and NAME.torque [N.m] on its second
+                  body in the axes of the world, and NAME.angle or .length with .rate
+    Errors:       ValueError names the body or joint and the numbers
+    """
+
+    def __init__(
+        self, name: str, *, planar: bool = False, gravity: Sequence[float] | None = None, description: str = ""
+    ):
+        default = (0.0, -9.81, 0.0) if planar else (0.0, 0.0, -9.81)
+        self.parts = MechanismParts(name, planar, np.array(default), description)
+        if gravity is not None:
+            self.parts.gravity = self._point("gravity", gravity)
+
+    @property
+    def name(self) -> str:
+        return self.parts.name
+
+    @property
+    def planar(self) -> bool:
+        return self.parts.planar
+
+    @property
+    def bodies(self) -> list[Body]:
+        return self.parts.bodies
+
+    @property
+    def joints(self) -> list[Joint]:
+        return self.parts.joints
+
+    # -- bodies -----------------------------------------------------------------------------------------------------
+
+    def body(
+        self,
+        name: str,
+        mass: float,
+        inertia: Any,
+        *,
+        com: Sequence[float] | None = None,
+        axes: Any = None,
+        about: Sequence[float] | None = None,
+        position: Sequence[float] | None = None,
+        rotation: Any = None,
+        velocity: Sequence[float] | None = None,
+        angular_velocity: Any = None,
+    ) -> Body:
+        """A rigid body.
+
+        mass [kg];  com [m]: centre of mass in the frame of the body (default: its origin)
+        inertia [kg.m2]: in space 3 moments or a symmetric 3 x 3 tensor, in the directions `axes` (columns, in the frame of the
+        body; default: that frame), about the point `about` (default: com); in the plane one moment about z
+        position [m], rotation (matrix; in the plane an angle [rad]) of the frame, velocity [m/s] of the centre of mass,
+        angular_velocity [rad/s] in the axes of the world (in the plane a number): at the start; `assemble` gives others
+        """
+        centre = self._point(f"com of body '{name}'", com)
+        if self.planar:
+            moment = float(np.ravel(inertia)[0]) if np.size(inertia) == 1 else float("nan")
+            if not moment >= 0:
+                raise ValueError(
+                    f"body '{name}': in the plane its inertia is one moment about z [kg.m2], got {inertia!r}"
+                )
+            offset = np.zeros(3) if about is None else self._point(f"about of body '{name}'", about) - centre
+            moment -= mass * float(offset @ offset)
+            own = np.diag((moment / 2, moment / 2, moment))
+        else:
+            offset = np.zeros(3) if about is None else self._point(f"about of body '{name}'", about) - centre
+            own = tensor(name, inertia, mass, offset, np.eye(3) if axes is None else axes)
+        return self._add(name, mass, centre, own, 3, position, rotation, velocity, angular_velocity)
+
+    def rod(self, name: str, mass: float, length: float, **start: Any) -> Body:
+        """A uniform thin rod along the x axis of its frame, from -length/2 to length/2 [m].
+
+        In space it has no moment about its axis and no direction across it: joints hold points on it.  `start`: as for `body`.
+        """
+        if not length > 0:
+            raise ValueError(f"rod '{name}': length {length} m must be positive")
+        moment = mass * length**2 / 12
+        if self.planar:
+            return self.body(name, mass, moment, **start)
+        given = {k: start.pop(k, None) for k in ("position", "rotation", "velocity", "angular_velocity")}
+        if start:
+            raise ValueError(f"rod '{name}': no argument {', '.join(start)}")
+        return self._add(name, mass, np.zeros(3), np.diag((0.0, moment, moment)), 1, **given)
+
+    def point_mass(
+        self, name: str, mass: float, position: Sequence[float] | None = None, velocity: Sequence[float] | None = None
+    ) -> Body:
+        """A point mass [kg] at a position [m], with a velocity [m/s]."""
+        return self._add(name, mass, np.zeros(3), np.zeros((3, 3)), 0, position, None, velocity, None)
+
+    # -- joints -----------------------------------------------------------------------------------------------------
+
+    def joint(
+        self,
+        kind: str,
+        name: str,
+        a: Body | None,
+        b: Body | None,
+        *,
+        at: Sequence[float] | None = None,
+        at_a: Sequence[float] | None = None,
+        at_b: Sequence[float] | None = None,
+        axis: Sequence[float] | None = None,
+        axis_b: Sequence[float] | None = None,
+        x_axis: Sequence[float] | None = None,
+        length: float | None = None,
+        damping: float = 0.0,
+        stiffness: float = 0.0,
+        neutral: float = 0.0,
+        motor: Literal["", "effort", "flow"] | bool = "",
+        turns: bool = False,
+    ) -> Joint:
+        """A joint between the bodies a and b; None is the ground.
+
+        kind:       in space fixed, revolute, prismatic, cylindrical, spherical, universal, planar, point_on_line, distance; in
+                    the plane fixed, revolute, prismatic, point_on_line, distance
+        at_a, at_b: where it is [m], in the frame of each body (default: the origins), or `at`: in the world, at the poses that
+                    the bodies have now
+        axis:       of rotation or sliding, with at_a in the frame of a and axis_b in that of b (default: the same), with `at` in
+                    the world; default z, in the plane x;  x_axis: the direction of a that angles count from
+        length [m]: of a distance; default: as the bodies are now
+        damping:    N.m.s/rad or N.s/m on the rate;  stiffness, neutral: of a spring on the coordinate, N.m/rad or N/m
+        motor:      a port NAME: "effort" (or True): torque or force given, speed found; "flow": the reverse
+        turns:      NAME.angle counts turns beyond pi, by a state
+        """
+        found = known_kind(kind, self.planar)
+        if any(j.name == name for j in self.joints) or any(b.name == name for b in self.bodies):
+            raise ValueError(f"{self.name}: there are two parts called '{name}'")
+        for body in (a, b):
+            if body is not None and body not in self.bodies:
+                raise ValueError(f"joint '{name}': its body is no body of {self.name}")
+        if a is b:
+            raise ValueError(f"joint '{name}' joins {'the ground' if a is None else repr(a.name)} with itself")
+        if (damping or stiffness or motor or turns) and len(found.coordinates) == 0:
+            raise ValueError(f"joint '{name}': a {kind} joint has no coordinate for a damper, spring or motor")
+        if (stiffness or motor or turns) and len(found.coordinates) != 1:
+            raise ValueError(
+                f"joint '{name}': a {kind} joint has {len(found.coordinates)} coordinates; use joints with one each"
+            )
+        joint = Joint(
+            kind, name, a, b, *self._placed(name, a, b, at, at_a, at_b, axis, axis_b, x_axis), self.planar,
+            0.0, damping, stiffness, neutral, "effort" if motor is True else motor or "", turns or bool(stiffness),
+        )  # fmt: skip
+        self._require_directions(joint)
+        if kind == "distance":
+            pa, _, pb, _ = joint.sides()
+            joint.length = float(np.linalg.norm(pb - pa)) if length is None else float(length)
+            if not joint.length > 0:
+                raise ValueError(f"joint '{name}': a distance of {joint.length:g} m; it needs a positive one")
+        self.joints.append(joint)
+        return joint
+
+    def spring(
+        self,
+        name: str,
+        a: tuple[Body | None, Sequence[float]],
+        b: tuple[Body | None, Sequence[float]],
+        stiffness: float,
+        length: float,
+        damping: float = 0.0,
+    ) -> None:
+        """A spring 1/2 k (|b - a| - length)^2 and a damper along it between points (body, place in its frame [m]).
+
+        stiffness [N/m], length [m], damping [N.s/m]; `GROUND` as a body: a fixed point
+        """
+        ends = [(body, self._point(f"spring '{name}'", place)) for body, place in (a, b)]
+        self.parts.springs.append(Spring(name, ends[0], ends[1], float(stiffness), float(length), float(damping)))
+
+    # -- start and declaration --------------------------------------------------------------------------------------
+
+    def assemble(
+        self,
+        coordinates: Mapping[str, Any] | None = None,
+        *,
+        speeds: Mapping[str, Any] | None = None,
+        near: Mapping[str, Any] | None = None,
+    ) -> dict[str, np.ndarray]:
+        """Place the bodies and give them velocities that all joints allow; returns the coordinates found.
+
+        coordinates:  joint -> angle [rad] or displacement [m], or several, which are held: revolute, prismatic 1, cylindrical
+                      (angle, length), planar (x, y, angle), universal 2 angles, spherical a rotation vector
+        near:         where the search for the others begins (default: as the bodies are now)
+        speeds:       joint -> rates; the others follow, nearest to rest in the mass metric
+        Errors:       ValueError names the joint that stays open and its gap; the bodies stay where they were
+        """
+        held, moving = coordinates or {}, speeds or {}
+        known = {j.name for j in self.joints}
+        for name in (*held, *moving, *(near or {})):
+            if name not in known:
+                raise ValueError(f"{self.name}: no joint '{name}'; there are: {', '.join(sorted(known))}")
+        before = [(b.position, b.rotation, b.velocity, b.angular_velocity) for b in self.bodies]
+        work = Assembly(self.bodies, self.joints, {**(near or {}), **held})
+        try:
+            work.set({**(near or {}), **held})
+            work.close(list(held))
+            work.move(moving)
+        except ValueError:
+            for body, start in zip(self.bodies, before, strict=True):
+                body.position, body.rotation, body.velocity, body.angular_velocity = start
+            raise
+        for joint in self.joints:
+            found = work.value.get(joint.name, np.zeros(0))
+            joint.start = float(found[0]) if len(found) == 1 else None
+        return work.value
+
+    def build(self, *, observe: bool = True) -> PHDAE:
+        """The declaration; `observe=False` leaves observables out.
+
+        Errors: ValueError names a joint that is open at the start, or that velocities at the start would open
+        """
+        if not self.bodies:
+            raise ValueError(f"{self.name}: no bodies")
+        require_closed(self.joints)
+        rate, name = unallowed(self.joints)
+        if rate > 1e-8 * (1.0 + max(float(np.linalg.norm(b.velocity)) for b in self.bodies)):
+            raise ValueError(
+                f"{self.name}: the velocities at the start open joint '{name}' at {rate:.6g} (m/s or rad/s); "
+                "call assemble(speeds=..)"
+            )
+        return Equations(self.parts, observe).phdae()
+
+    def mobility(self) -> Mobility:
+        """Degrees of freedom, equations, and the joints among whose equations some are too many, at the start."""
+        return mobility(self.bodies, self.joints, self.planar)
+
+    # -- parts of arguments -----------------------------------------------------------------------------------------
+
+    def _point(self, what: str, values: Sequence[float] | None) -> np.ndarray:
+        """Three entries."""
+        if values is None:
+            return np.zeros(3)
+        n = 2 if self.planar and np.size(values) == 2 else 3
+        return np.append(finite(what, values, n), np.zeros(3 - n))
+
+    def _add(
+        self, name: str, mass: float, com: np.ndarray, own: np.ndarray, directors: int, position: Any, rotation: Any,
+        velocity: Any, angular_velocity: Any,
+    ) -> Body:  # fmt: skip
+        if any(b.name == name for b in self.bodies):
+            raise ValueError(f"{self.name}: there are two bodies called '{name}'")
+        turn = np.eye(3)
+        if rotation is not None:
+            turn = frame_angle(float(rotation)) if self.planar else np.asarray(rotation, float)
+            if turn.shape != (3, 3) or np.max(np.abs(turn @ turn.T - np.eye(3))) > 1e-9 or np.linalg.det(turn) < 0:
+                raise ValueError(f"body '{name}': rotation is no rotation matrix: {np.asarray(rotation).tolist()}")
+        spin = np.zeros(3)
+        if angular_velocity is not None:
+            spin = finite(
+                f"angular_velocity of body '{name}'", np.atleast_1d(angular_velocity), 1 if self.planar else 3
+            )
+            spin = np.array((0.0, 0.0, spin[0])) if self.planar else spin
+        place, speed = (
+            self._point(f"{what} of body '{name}'", x) for what, x in (("position", position), ("velocity", velocity))
+        )
+        self.bodies.append(Body(name, float(mass), com, own, place, turn, speed, spin, directors, self.planar))
+        return self.bodies[-1]
+
+    def _placed(
+        self, name: str, a: Body | None, b: Body | None, at: Any, at_a: Any, at_b: Any, axis: Any, axis_b: Any, x_axis: Any
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
+        """Places and axes in the frames of both bodies."""
+        what = f"joint '{name}'"
+        along = self._point(what, axis) if axis is not None else np.array((1.0, 0, 0) if self.planar else (0, 0, 1.0))
+        if not np.linalg.norm(along) > 0:
+            raise ValueError(f"{what}: its axis is zero")
+        first = None if x_axis is None else self._point(what, x_axis)
+        frame = _in_plane(along) if self.planar else frame_along(along, first)
+        if at is None:
+            other = frame
+            if axis_b is not None:
+                turned = self._point(what, axis_b)
+                other = _in_plane(turned) if self.planar else frame_along(turned)
+            return self._point(what, at_a), self._point(what, at_b), frame, other
+        if at_a is not None or at_b is not None or axis_b is not None:
+            raise ValueError(
+                f"{what}: give its place by `at` in the world, or by at_a and at_b in its bodies, not both"
+            )
+        world = self._point(what, at)
+        places = [world if body is None else body.local(world) for body in (a, b)]
+        frames = [frame if body is None else body.rotation.T @ frame for body in (a, b)]
+        return places[0], places[1], frames[0], frames[1]
+
+    def _require_directions(self, joint: Joint) -> None:
+        """ValueError for a joint that needs directions a rod or a point mass does not have."""
+        uses = {"spherical": (), "distance": (), "point_on_line": ("a",)}.get(joint.kind, ("a", "b"))
+        if self.planar and joint.kind == "revolute":
+            uses = ()
+        for side in ("a", "b"):
+            body, at = getattr(joint, side), getattr(joint, f"at_{side}")
+            if body is None or body.directors == 3:
+                continue
+            off = at if body.directors == 0 else at[1:]
+            if side in uses or np.max(np.abs(off), initial=0.0) > 1e-12:
+                what = "point mass" if body.directors == 0 else "rod"
+                raise ValueError(
+                    f"joint '{joint.name}': body '{body.name}' is a {what}, which has no directions for a {joint.kind} joint "
+                    f"at {at.tolist()}; make it a body"
+                )
+
+
+def frame_angle(angle: float) -> np.ndarray:
+    """The rotation about z through an angle [rad]."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def _in_plane(x: np.ndarray) -> np.ndarray:
+    """The frame with its x along a direction of the plane."""
+    return frame_angle(float(np.arctan2(x[1], x[0])))
