@@ -9,6 +9,7 @@ import numpy as np
 
 from phfmu.declare.variable import Value
 from phfmu.plan.unknown import ALGEBRAIC, COSTATE, INCREMENT, Role, Unknown
+from phfmu.terms.condense import Condensed
 from phfmu.terms.located import Row, RowAt, ValueAt
 from phfmu.terms.term import Terms
 
@@ -17,6 +18,8 @@ from phfmu.terms.term import Terms
 class Layout:
     """Y = [unknowns | inputs at k nodes | h | Z],  Z = [costates at k nodes, rates | sources at k nodes, rates],
     R = [a row per unknown | outputs of the pairs at k nodes | reports].
+
+    The values of condensed variables at k nodes are the last of the reports, and again the last of Z.
 
     `reports`: a key per reported row;  `rates`: costates and sources have rates too (instant plans, k = 1).
     """
@@ -30,12 +33,14 @@ class Layout:
     _place: dict[tuple[Role, int, int], int] = field(init=False, repr=False)
     _report: dict[Hashable, int] = field(init=False, repr=False)
     _source: dict[int, int] = field(init=False, repr=False)
+    _condensed: dict[int, int] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         self._place = {(u.role, u.index, u.node): i for i, u in enumerate(self.unknowns)}
         self._report = {key: i for i, key in enumerate(self.reports)}
         self.sources = [i for i, p in enumerate(self.terms.pairs) if p.port.source is not None]
         self._source = {p: j for j, p in enumerate(self.sources)}
+        self._condensed = {a: j for j, a in enumerate(self.condensed)}
 
     # -- sizes ------------------------------------------------------------------------------------------------------
 
@@ -48,8 +53,21 @@ class Layout:
         return self.nw + self.terms.nu * self.k + 1
 
     @property
+    def condensed(self) -> tuple[int, ...]:
+        """Algebraic variables that are no unknowns, but sums of other values."""
+        return self.terms.found(Condensed).variables
+
+    @property
+    def ncondensed(self) -> int:
+        return len(self.condensed) * self.k
+
+    @property
+    def nobs(self) -> int:
+        return len(self.reports) + self.ncondensed
+
+    @property
     def nz(self) -> int:
-        return (self.terms.n1 + len(self.sources)) * self.k * (2 if self.rates else 1)
+        return (self.terms.n1 + len(self.sources)) * self.k * (2 if self.rates else 1) + self.ncondensed
 
     # -- unknowns and rows --------------------------------------------------------------------------------------------
 
@@ -76,6 +94,13 @@ class Layout:
         """Row of what is reported under `key`."""
         return self.nw + len(self.terms.pairs) * self.k + self._report[key]
 
+    def condensed_row(self, a: int, node: int) -> int:
+        """Row of the value of a condensed variable."""
+        return self.nw + len(self.terms.pairs) * self.k + len(self.reports) + self._condensed_place(a, node)
+
+    def _condensed_place(self, a: int, node: int) -> int:
+        return node * len(self.condensed) + self._condensed[a]
+
     # -- assembled values ---------------------------------------------------------------------------------------------
 
     def slot(self, i: int, node: int) -> int:
@@ -94,6 +119,10 @@ class Layout:
         """Z index of its time derivative."""
         return self.source_slot(pair, 0) + len(self.sources)
 
+    def condensed_slot(self, a: int, node: int) -> int:
+        """Z index of the value of a condensed variable, known after the step only."""
+        return self.nz - self.ncondensed + self._condensed_place(a, node)
+
     # -- values that kernels and constants read -------------------------------------------------------------------------
 
     def value(self, value: ValueAt, node: int = 0) -> int:
@@ -111,11 +140,15 @@ class Layout:
 
     def input_index(self, pair: int, node: int) -> int:
         """Y index of the input of a pair: external, the value of a source, or the algebraic variable that feeds it."""
+        variable = self.terms.bound.get(pair)
         if pair < self.terms.nu:
             return self.nw + node * self.terms.nu + pair
         if pair in self._source:
             return self.nv + self.source_slot(pair, node)
-        return self.at(ALGEBRAIC, self.terms.bound[pair], node)
+        assert variable is not None
+        if variable in self._condensed:
+            return self.nv + self.condensed_slot(variable, node)
+        return self.at(ALGEBRAIC, variable, node)
 
     # -- for messages -------------------------------------------------------------------------------------------------
 
@@ -133,6 +166,7 @@ _ROW: dict[Row, Callable[[Layout, int, int], int]] = {
     Row.EQUATION: lambda layout, i, node: layout.at(ALGEBRAIC, i, node),
     Row.OUTPUT: Layout.output,
     Row.OBSERVABLE: lambda layout, i, node: layout.report(i),
+    Row.CONDENSED: Layout.condensed_row,
 }
 _VALUE: dict[Value, Callable[[Layout, int, int], int]] = {
     Value.COSTATE: Layout.costate,

@@ -118,7 +118,8 @@ class Plan:
     `matrix` is A in CSC order (columns ascending, rows ascending inside a column).
     `derivative` holds the other blocks of d[residual | mean pair outputs]/d[w | held inputs].
     `order[j]`: j-th pivot column, `pivot_row[j]`: its preferred row or -1.
-    `mean_*`: algebraic reports a[mean_a] = sum mean_c h^mean_pow w[mean_w].
+    `mean_*`: algebraic reports a[mean_a] = sum mean_c h^mean_pow Y[mean_w].
+    `ncondensed`: so many values of condensed variables, the last rows of R, are copied to the end of Z after the solve.
     `work_*`: pairs that get the energy R[work_row] beside h sum b y u.
     `regularised`: entries of A that get +delta after row scaling, in the factor only; with `hold` attempts are
     made without it first, with it first where masses are vanishing.
@@ -172,6 +173,7 @@ class Plan:
     schur: Any = None
     hold: Holds = field(default_factory=Holds)
     carries: int = 0
+    ncondensed: int = 0
 
     @property
     def nv(self) -> int:
@@ -182,3 +184,9 @@ class Plan:
     def nrow(self) -> int:
         """Rows of R: residual, pair outputs per node, observables."""
         return self.nw + self.nq * self.k + self.nobs
+
+    @property
+    def seeds(self) -> NDArray[np.bool_]:
+        """Of the algebraic reports those whose unknown may start from a reported value; increments start from 0."""
+        at = np.minimum(self.mean_w, max(self.nw - 1, 0))
+        return (self.mean_w < self.nw) & (np.append(self.increments, 0)[at] == 0)

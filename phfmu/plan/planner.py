@@ -35,7 +35,7 @@ class Tables:
 class Maps:
     """Linear maps of a scheme between unknowns and what is reported or carried on.
 
-    `update`: (state, w, weight) with x' = x + sum weight w;  `mean`: (reported algebraic, w, weight, power of h);
+    `update`: (state, w, weight) with x' = x + sum weight w;  `mean`: (reported algebraic, Y index, weight, power of h);
     `guess`: per unknown a list of (w of the last step, weight, power of h/h_last);  `weights`, `nodes`: quadrature on
     [0, 1];  `work`: (pair, row of R), energy that goes through a pair beside h sum b y u;  `jumps`: (state, w), by how much a
     state jumps at the start of the step;  `carries`: see `Plan`.
@@ -77,8 +77,8 @@ def make_plan(
     guess = [(len(g), [i for i, _, _ in g], [c for _, c, _ in g], [q for _, _, q in g]) for g in maps.guess]
     nq = len(terms.pairs)
     return Plan(
-        nx=terms.n1, nw=layout.nw, nu=terms.nu, k=layout.k, nz=layout.nz, np=terms.np, nq=nq, nobs=len(layout.reports),
-        na=terms.na, ncomp=len(terms.members), groups=tuple(groups), nslot=nslot,
+        nx=terms.n1, nw=layout.nw, nu=terms.nu, k=layout.k, nz=layout.nz, np=terms.np, nq=nq, nobs=layout.nobs,
+        na=terms.na, ncondensed=layout.ncondensed, ncomp=len(terms.members), groups=tuple(groups), nslot=nslot,
         const_row=const[:, 0].astype(np.int32), const_src=const[:, 1].astype(np.int32), const_val=value,
         const_pow=const[:, 2].astype(np.int8), matrix=matrix, colptr=colptr, order=order, pivot_row=pivot,
         regularised=regularised, derivative=derivative, hold=hold,

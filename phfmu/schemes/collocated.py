@@ -23,6 +23,7 @@ from phfmu.schemes import impulses, inertia
 from phfmu.schemes.nodal import NodeKernels
 from phfmu.schemes.scheme import GaussScheme, node_holds, node_maps, node_unknowns
 from phfmu.terms.bare import IMPULSE
+from phfmu.terms.condense import condensed
 from phfmu.terms.term import CLOSED, CONSTRAINT, Term, Terms
 
 
@@ -51,7 +52,7 @@ class Collocated(GaussScheme):
                 "use --order 2 or 6",
                 "stages",
             )
-        return impulses.prepare(terms) if self.impulses else terms
+        return condensed(impulses.prepare(terms) if self.impulses else terms)
 
     def unknowns(self, terms: Terms) -> list[Unknown]:
         return node_unknowns(terms, self.k) + impulses.unknowns(terms)

@@ -127,12 +127,13 @@ class NodeKernels:
         for i in range(self.k):
             (f,) = substituted([term.data["f"]], pairs[i])
             for j, r in enumerate(term.rows):
-                value = f[j] if r.kind is Row.OUTPUT else -f[j]
+                value = f[j] if r.kind in (Row.OUTPUT, Row.CONDENSED) else -f[j]
                 out.append((Address(row, j, i), int(r.kind is Row.BALANCE), value))
             if "loss" in term.data:
                 (loss,) = substituted([term.data["loss"]], pairs[i])
                 lost = self.nodes.b[i] * loss + (0 if lost is None else lost)
-        return [Spec(1, args.x, args.p, args.y, out, lost=lost)]
+        report = all(r.kind is Row.CONDENSED for r in term.rows) and lost is None
+        return [Spec(1, args.x, args.p, args.y, out, lost=lost, report=report)]
 
     def _source(self, term: Term) -> list[Spec]:
         args = Arguments(term, self.k)

@@ -19,6 +19,7 @@ from phfmu.plan.unknown import Unknown
 from phfmu.schemes.collocated import require_pairs
 from phfmu.schemes.nodal import NodeKernels
 from phfmu.schemes.scheme import GaussScheme, node_holds, node_maps, node_unknowns
+from phfmu.terms.condense import condensed
 from phfmu.terms.term import CLOSED, Term, Terms
 
 
@@ -50,7 +51,7 @@ class Radau(GaussScheme):
                 "use flux coordinates, or --scheme collocated",
                 "pair",
             )
-        return terms
+        return condensed(terms)
 
     def unknowns(self, terms: Terms) -> list[Unknown]:
         return node_unknowns(terms, self.k)

@@ -14,9 +14,13 @@ from phfmu.plan.planner import Maps
 from phfmu.plan.spec import Spec
 from phfmu.plan.unknown import ALGEBRAIC, COSTATE, INCREMENT, Role, Unknown, of_algebraics, of_states
 from phfmu.schemes.inertia import vanishing
+from phfmu.terms.condense import Condensed
 from phfmu.terms.located import Row
 from phfmu.terms.rank import ConstraintsAtStart
 from phfmu.terms.term import Term, Terms
+
+#: kinds of rows that are values; the others are equations, their left sides less these
+VALUES = (Row.OUTPUT, Row.CONDENSED)
 
 #: (row, Y index, value, power of h)
 Triplet = tuple[int, int, float, int]
@@ -136,11 +140,13 @@ class GaussScheme:
 def node_unknowns(terms: Terms, k: int, costates: Iterable[int] | None = None) -> list[Unknown]:
     """Increments, algebraic variables, and the costates of these states (None: those of blocks of E) at every node."""
     solved = terms.solved_costates() if costates is None else costates
+    gone = set(terms.found(Condensed).variables)
+    left = [a for a in range(terms.na) if a not in gone]
     out: list[Unknown] = []
     for node in range(k):
         out += of_states(terms, INCREMENT, "balance of", range(terms.n1), node)
         out += of_states(terms, COSTATE, "costate of", solved, node)
-        out += of_algebraics(terms, ALGEBRAIC, "equation of", range(terms.na), node)
+        out += of_algebraics(terms, ALGEBRAIC, "equation of", left, node)
     return out
 
 
@@ -160,7 +166,7 @@ def node_constants(layout: Layout, costates: Iterable[int] | None = None) -> lis
         for i in solved:
             out.append((layout.at(COSTATE, i, node), layout.nv + layout.slot(i, node), -1.0, 0))
         for c in terms.constants:
-            value = c.value if c.row.kind is Row.OUTPUT else -c.value
+            value = c.value if c.row.kind in VALUES else -c.value
             out.append((layout.row(c.row, node), layout.value(c.source, node), value, int(c.row.kind is Row.BALANCE)))
     return out
 
@@ -172,6 +178,9 @@ def node_maps(layout: Layout, nd: Nodes, *, even: bool = False) -> Maps:
     has grown 60 times at the end of the next step: of an oscillation that is faster than the steps nothing else is left.
     """
     update, mean, guess = [], [], []
+    for node in range(layout.k):
+        values = ((a, layout.nv + layout.condensed_slot(a, node)) for a in layout.condensed)
+        mean += [(a, at, float(nd.b[node]), 0) for a, at in values]
     ahead = np.array([nd.b if even else nd.value(1.0 + c) for c in nd.c])
     for w, u in enumerate(layout.unknowns):
         if u.role is INCREMENT:

@@ -18,6 +18,7 @@ from phfmu.schemes import constraints, impulses, inertia
 from phfmu.schemes.collocated import Collocated, require_gradient, require_pairs
 from phfmu.schemes.constraints import VELOCITY_LEVEL
 from phfmu.schemes.scheme import node_holds, node_unknowns
+from phfmu.terms.condense import condensed
 from phfmu.terms.term import CONSTRAINT, MASS, Term, Terms
 
 
@@ -45,7 +46,7 @@ class TwoLevel(Collocated):
                 "use --gradient per-term",
                 "mass",
             )
-        return impulses.prepare(terms)
+        return condensed(impulses.prepare(terms))
 
     def unknowns(self, terms: Terms) -> list[Unknown]:
         multipliers = [t.rows[0].index for t in terms.of(CONSTRAINT)]

@@ -20,6 +20,7 @@ class Row(Enum):
     OUTPUT = "output of a port pair"
     OBSERVABLE = "observable"
     SOURCE = "source of a port pair"
+    CONDENSED = "value of a condensed variable"
 
 
 @dataclass(frozen=True, slots=True)

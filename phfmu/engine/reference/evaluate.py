@@ -96,7 +96,7 @@ class Evaluator:
         return self.plan.hold.of(self.rests)
 
     def residual(self, x: Array, v: Array, p: Array, h: float) -> Array:
-        """R at (x, v, p, h); fills Y and V on the way."""
+        """R at (x, v, p, h); fills Y and V on the way, the values of condensed variables at the end of Y last."""
         plan, y = self.plan, self.Y
         y[: plan.nv] = v
         y[plan.nv :] = 0.0
@@ -105,6 +105,7 @@ class Evaluator:
         r = np.bincount(plan.const_row, plan.const_val * h**plan.const_pow * y[plan.const_src], plan.nrow).astype(float)
         r += self._stages[1].sums(h, plan.nrow, x, y, p)
         self._rest(r)
+        y[len(y) - plan.ncondensed :] = r[plan.nrow - plan.ncondensed :]
         self.R = r
         return r
 

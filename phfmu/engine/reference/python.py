@@ -131,7 +131,7 @@ class PythonInstance(PythonReadings):
         s.a = end["a"].copy()
         s.y_step, s.y_node = end["y"].copy(), np.tile(end["y"], (plan.k, 1))
         s.w = np.zeros(plan.nw)
-        level = plan.increments[plan.mean_w] == 0
+        level = plan.seeds
         s.w[plan.mean_w[level]] = s.a[plan.mean_a[level]]
         s.h_last = 0.0
         s.last = self._nothing()
@@ -190,7 +190,7 @@ class PythonInstance(PythonReadings):
         s.impulses = old.impulses
         s.u, s.w, s.h_last, s.counts, s.path = np.tile(held[0], mine.k), old.w.copy(), old.h_last, old.counts, []
         if old.t != s.t:  # its own last step is no longer the one before the next
-            level = mine.increments[mine.mean_w] == 0
+            level = mine.seeds
             s.w[mine.mean_w[level]], s.h_last = s.a[mine.mean_a[level]], 0.0
         if len(s.rests) != len(old.rests):
             s.rests, s.placed = old.rests, True

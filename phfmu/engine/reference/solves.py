@@ -129,7 +129,7 @@ class Solves:
         total = s.x[:-1] + change
         s.carry = change - (total - s.x[:-1])
         s.x[:-1] = total
-        a = np.bincount(plan.mean_a, plan.mean_c * h**plan.mean_pow * part["w"][plan.mean_w], plan.na)
+        a = np.bincount(plan.mean_a, plan.mean_c * h**plan.mean_pow * self._step.Y[plan.mean_w], plan.na)
         if plan.carries:
             s.a = a
         if s.rests.any():

@@ -66,6 +66,14 @@ static void rest_matrix(ph_system *s) {
     }
 }
 
+/* Values of condensed variables, the last rows of R, join Y. */
+static void take_condensed(ph_system *s) {
+    const ph_plan *p = s->plan;
+    const int n = p->ncondensed;
+    if (n > 0)
+        memcpy(s->y + p->nv + p->nz - n, s->r + p->nrow - n, sizeof(double) * (size_t)n);
+}
+
 /* Z and R at (x, Y); slots: Jacobian entries into V too; late: pair outputs and observables too. */
 void ph_eval(ph_system *s, int slots, int late) {
     const ph_plan *p = s->plan;
@@ -94,6 +102,8 @@ void ph_eval(ph_system *s, int slots, int late) {
     }
     if (s->resting)
         rest_residual(s);
+    if (late)
+        take_condensed(s);
 }
 
 /* The rows after the residual, at a w and a Z found elsewhere. A kernel may give rows of both kinds at once,
@@ -110,6 +120,7 @@ void ph_eval_late(ph_system *s) {
     }
     for (int l = p->nconst_early; l < p->nconst; l++)
         s->r[p->const_row[l]] += s->constants[l] * s->y[p->const_src[l]];
+    take_condensed(s);
 }
 
 /* Entries of A that are not constant at fixed h; the lists have no write conflicts. */

@@ -66,7 +66,7 @@ void ph_seed(ph_instance *in, const double *a) {
         ph_system *s = i ? &in->instant : &in->step;
         const ph_plan *p = s->plan;
         for (int l = 0; l < p->nmean; l++)
-            if (!p->increments[p->mean_w[l]])
+            if (p->mean_w[l] < p->nw && !p->increments[p->mean_w[l]])
                 s->last[p->mean_w[l]] = a[p->mean_a[l]];
     }
     in->head->parts = 0;

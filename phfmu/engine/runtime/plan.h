@@ -12,7 +12,7 @@
 #include "names.h"
 #include "schur.h"
 
-#define PH_VERSION 6
+#define PH_VERSION 7
 #define PH_STAMP                                                                                             \
     (((uint64_t)PH_VERSION << 48) | ((uint64_t)sizeof(ph_model) << 32) | ((uint64_t)sizeof(ph_plan) << 16) | \
      (uint64_t)sizeof(ph_group))
@@ -38,6 +38,7 @@ typedef struct ph_group {
  * rows R = [residual nw | pair outputs nq*k | observables nobs]. */
 typedef struct ph_plan {
     int nx, nw, nu, k, nz, np, nq, nobs, na, ncomp, nv, nrow;
+    int ncondensed;          /* last rows of R that are copied to the end of Z after the solve */
     int nslot;               /* length of V, V[0] = 1 */
     int ngroup;              /* stage 0 groups come first */
     int nconst;              /* triplets R[row] += val h^pow Y[src] */
@@ -90,7 +91,7 @@ typedef struct ph_plan {
     const int *update_ptr;         /* nupdate+1: terms of each run */
     const int *update_w;           /* update_ptr[nupdate] */
     const double *update_c;        /* update_ptr[nupdate] */
-    const int *mean_a;             /* nmean: a[mean_a] = sum mean_c h^mean_pow w[mean_w] */
+    const int *mean_a;             /* nmean: a[mean_a] = sum mean_c h^mean_pow Y[mean_w] */
     const int *mean_w;             /* nmean */
     const double *mean_c;          /* nmean */
     const signed char *mean_pow;   /* nmean: 0 or -1 */
