@@ -103,7 +103,8 @@ class SwitchedInstance(Signals):
         return self._of(mode), self._fresh[mode]
 
     @cached_property
-    def _native(self) -> NativeModes:
+    def native(self) -> NativeModes:
+        """Changes of modes in compiled code, of native instances."""
         from phfmu.engine.native.native_modes import NativeModes
 
         return NativeModes(self)
@@ -148,7 +149,7 @@ class SwitchedInstance(Signals):
         """Grid steps that end on the zeros of guards too, where modes change; see `Instance.land`."""
         grid, names = Grid(t0, h, n, first, pause=pause), recordable(self.model.name, record)
         if self.present.landing is not None:
-            return self._native.land(grid, names, changed)
+            return self.native.land(grid, names, changed)
         return landed(self, grid, names, changed, self)
 
     def do_step(self, t: float, h: float, parts: int = 1) -> None:

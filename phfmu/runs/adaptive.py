@@ -1,9 +1,13 @@
 """Steps of a size that keeps an error tolerance.
 
-Each trial step is taken twice from the same state: with the scheme itself (order p = 2k) and with Radau IIA on as many
+Each span is taken twice from the same state: with the scheme itself (order p = 2k) and with Radau IIA on as many
 nodes (order 2k - 1).  The difference of the states is O(h^2k) and sees what rings; the multipliers, which converge more
 slowly and belong to other instants, stay out of it.  Accepted is the scheme's own state, so the power balance of
 each step is as exact as ever: it holds for any step size, and no step needs the size of another.
+
+Two-level schemes take a span in two halves, which are accepted, and in one step.  The difference of both, divided by 2^p - 1, is
+the error of the halves, O(h^(2k + 1)); it sees what rings too, since k is odd: one step turns the sign of what is fast, two do
+not.  The companion is another instance of the same model, with its fast solver.
 
 The error of n = O(1/h) steps is then O(h^2k), in proportion to the tolerance.  Where the accepted state is the one of
 lower order (Radau IIA, Itoh-Abe; p < q = order of the estimate), steps keep tolerance^(q/p), which restores that.
@@ -14,7 +18,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -80,16 +83,18 @@ class Adaptive:
         self.stepper = stepper
         model = stepper.model
         _require_held(model)
-        k, lossy = model.step.k, model.loses_energy
-        self.other = stepper.companion(Collocated(k) if lossy else Radau(k))
-        self.order = min(model.scheme.order, self.other.model.scheme.order) + 1
+        k, lossy, p = model.step.k, model.loses_energy, model.scheme.order
+        #: equal steps of a span, and the part of the difference that is their error
+        self.parts, self.share = (2, 1.0 / (2**p - 1)) if model.scheme.two_level else (1, 1.0)
+        self.other = stepper.companion(model.scheme if self.parts > 1 else Collocated(k) if lossy else Radau(k))
+        self.order = min(p, self.other.model.scheme.order) + 1
         power = max(1.0, self.order / model.scheme.order)
         self.rtol, self.atol = rtol**power, (rtol if options.atol is None else options.atol) ** power
-        self.min_step, self.max_step = options.min_step, options.max_step
+        self.min_step, self.max_step = self.parts * options.min_step, self.parts * options.max_step
         states = model.declaration.states
         self.nominal = np.array([v.nominal[j] for v in states for j in range(v.n)])
         self._names = [n for v in states for n in v.names()]
-        self.control = Control(_rounded(min(options.step, self.max_step)))
+        self.control = Control(_rounded(min(self.parts * options.step, self.max_step)))
 
     def after_event(self) -> None:
         """Forget the last error: what comes is not its continuation."""
@@ -100,61 +105,61 @@ class Adaptive:
         c = self.control
         return {"rejected": c.rejected, "smallest": c.smallest, "largest": c.largest}
 
-    def march(self) -> NativeMarch | None:
-        """The same steps in compiled code, many a call and recorded; None where only a loop in Python can take them."""
-        return self._compiled(exactly=False)
+    def march(self, pauses: bool = False) -> NativeMarch | None:
+        """The same steps in compiled code, many a call and recorded; None where only a loop in Python can take them.
 
-    def _compiled(self, exactly: bool) -> NativeMarch | None:
+        `pauses`: it hands over after each state event.
+        """
         from phfmu.runs.native_march import NativeMarch
 
-        return NativeMarch(self, exactly) if NativeMarch.fits(self, exactly) else None
+        return NativeMarch(self, pauses) if NativeMarch.fits(self) else None
 
-    @cached_property
-    def _sizes(self) -> NativeMarch | None:
-        return self._compiled(exactly=True)
-
-    def advance(self, t: float, end: float, restart: bool = False) -> tuple[float, Steps]:
-        """One accepted step from t, not beyond `end`: where it ends (`end` to the last bit), and the step.
+    def advance(self, t: float, end: float, restart: bool = False) -> tuple[list[float], Steps]:
+        """The accepted steps of one span from t, not beyond `end`: where they end (`end` to the last bit), and the steps.
 
         `restart`: accept the damping solution of the pair (see `restart.py`) unless it would gain energy.
         ToleranceMissed, StepFailure: the stepper is at t.
         """
-        own, taken = self.stepper.instance, list[tuple[Steps | None, Steps]]()
+        own, n, taken = self.stepper.instance, self.parts, list[tuple[Steps | None, Steps]]()
 
         def take(h: float, spent: list[float]) -> None:
             damped, used = self._companion_step(t, h, restart)
             spent.append(used)
-            steps = self.stepper.taken(own, t, h, 1)
+            steps = self.stepper.taken(own, t, h / n, n)
             spent.append(steps.spent)
             taken[:] = [(damped, steps)]
 
-        goal, spent = self._accepted(t, end, take)
+        h, goal, spent = self._accepted(t, end, take)
         damped, steps = taken[0]
         if damped is not None and not gains(damped):
             self.stepper.follow(own, self.other)
             steps = damped
-        return goal, replace(steps, iterations=np.array([spent]))
+        iterations = np.zeros(n) if steps.iterations is None else np.array(steps.iterations)
+        iterations[0] = spent - iterations[1:].sum()
+        return [*(t + i * (h / n) for i in range(1, n)), goal], replace(steps, iterations=iterations)
 
-    def sized(self, t: float, end: float) -> tuple[float, float]:
-        """The end of one accepted step from t, and its iterations; guards are not looked at, and the step is not recorded."""
-        if self._sizes is not None:
-            found = self._sizes.take(t, end, 1)
-            if found.failure is not None:
-                raise found.failure
-            return found.ends[0], self._sizes.spent
-        own = self.stepper.instance
+    def sized(self, t: float, end: float) -> tuple[float, float, float]:
+        """Length and end of one span from t, and its iterations; guards are not looked at, and nothing is recorded.
+
+        The stepper is at t again.
+        """
+        own, n = self.stepper.instance, self.parts
+        before = own.get_state()
 
         def take(h: float, spent: list[float]) -> None:
             self.other.continue_from(own)
-            for instance in (self.other, own):
+            for instance, parts in ((self.other, 1), (own, n)):
                 count = instance.counts["iterations"]
-                instance.step_exactly(t, h)
+                for i in range(parts):
+                    instance.step_exactly(t + i * (h / parts), h / parts)
                 spent.append(float(instance.counts["iterations"] - count))
 
-        return self._accepted(t, end, take)
+        found = self._accepted(t, end, take)
+        own.restore(before)
+        return found
 
-    def _accepted(self, t: float, end: float, take: Callable[[float, list[float]], None]) -> tuple[float, float]:
-        """Steps that `take` takes with both schemes, shorter ones until the tolerance is met: where it ends, all iterations."""
+    def _accepted(self, t: float, end: float, take: Callable[[float, list[float]], None]) -> tuple[float, float, float]:
+        """A span that `take` takes twice, shorter ones until the tolerance is met: its length, where it ends, all iterations."""
         own, spent = self.stepper.instance, list[float]()
         state, before, limit = own.get_state(), own.x, GROW
         while True:
@@ -168,14 +173,14 @@ class Adaptive:
             error, worst = self._error(before, own.x)
             if error <= 1.0:
                 self._grow(h, error, limit)
-                return goal, sum(spent)
+                return h, goal, sum(spent)
             own.set_state(state)
             self._shrink(t, h, max(SHRINK, SAFETY * error ** (-1.0 / self.order)), self.missed(t, h, error, worst))
             limit = 1.0
 
     def missed(self, t: float, h: float, error: float, worst: int) -> ToleranceMissed:
         """A step that misses the tolerance `error` times, in the state number `worst`."""
-        return ToleranceMissed(self.stepper.model.name, t, h, error, self._names[worst], self._advice(t))
+        return ToleranceMissed(self.stepper.model.name, t, h / self.parts, error, self._names[worst], self._advice(t))
 
     def _companion_step(self, t: float, h: float, wanted: bool) -> tuple[Steps | None, float]:
         """The trial of the other scheme, its rows if wanted, and its iterations."""
@@ -201,7 +206,7 @@ class Adaptive:
         if not x.size:
             return 0.0, 0
         size = np.maximum(np.abs(before), np.abs(x))
-        ratio = np.abs(x - self.other.x) / (self.rtol * size + self.atol * self.nominal)
+        ratio = self.share * np.abs(x - self.other.x) / (self.rtol * size + self.atol * self.nominal)
         worst = int(np.argmax(ratio))
         return float(ratio[worst]), worst
 
@@ -228,7 +233,8 @@ class Adaptive:
         cut = control.h if h < control.h and limit > 1 else 0.0
         control.h = _rounded(min(max(proposal, cut, self.min_step), self.max_step))
         control.last = error
-        control.smallest, control.largest = min(control.smallest, h), max(control.largest, h)
+        control.smallest = min(control.smallest, h / self.parts)
+        control.largest = max(control.largest, h / self.parts)
 
 
 def _require_held(model: Model) -> None:

@@ -51,7 +51,7 @@ class Ecco:
     def march(self) -> None:
         """Members are stepped one by one: there is no compiled loop."""
 
-    def advance(self, t: float, end: float, restart: bool = False) -> tuple[float, Steps]:
+    def advance(self, t: float, end: float, restart: bool = False) -> tuple[list[float], Steps]:
         """One step from t, not beyond `end`: where it ends (`end` to the last bit), and the step."""
         left = end - t
         whole = self._h >= left * (1 - 1e-9)
@@ -61,7 +61,7 @@ class Ecco:
         self._steps += 1
         if self._steps >= FIRST:
             self._control(h, self.error(steps))
-        return end if whole else t + h, steps
+        return [end if whole else t + h], steps
 
     def error(self, steps: Steps) -> float:
         """eps of a step."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Generator, Iterable, Iterator
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from phfmu.engine.landing.locate import EPS
 from phfmu.engine.record import Grid
 from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.network.couplings.stepper import Landing
-from phfmu.outcome.limits import LIMITS
+from phfmu.outcome.limits import LIMITS, defined
 from phfmu.outcome.status import StepFailure
 from phfmu.outcome.steps import StepEvent
 from phfmu.runs.book import Book
@@ -26,11 +27,12 @@ from phfmu.runs.stretches import Stretch
 
 if TYPE_CHECKING:
     from phfmu.network.couplings.coupled import Coupled
+    from phfmu.runs.native_march import NativeMarch
 
 Array = NDArray[Any]
 Rows = Iterator[Row]
 
-CROWD = 3
+CROWD = int(defined(Path(__file__).parent / "runtime" / "march.h")["CROWD"])
 
 
 class Booked:
@@ -137,7 +139,7 @@ class AdaptiveEventSteps:
 
     A step is sized as without events.  Where one happens in it the step ends there: it is shorter than what was accepted and
     needs no estimate, and the next one starts from there with the same size.  After `CROWD` steps in a row with events a
-    step is landed whole, with all of its events, so that those that pile up come to rest.
+    step is landed whole, with all of its events, so that those that pile up come to rest.  Compiled code marches where it can.
     """
 
     def __init__(self, stepper: Monolithic, book: Book, options: Options):
@@ -149,6 +151,7 @@ class AdaptiveEventSteps:
         self._booked, self._adaptive = Booked(stepper, book), Adaptive(stepper, options, options.rtol)
         damps = self.restart > 0 and not stepper.model.loses_energy
         self._damped = Restart(stepper, companion=self._adaptive.other) if damps else None
+        self._march, self._pace, self._crowd = self._adaptive.march(pauses=damps), Pace(), 0
 
     def takes_inputs(self, name: str) -> bool:
         """Steps of any length stop where an input changes."""
@@ -156,39 +159,52 @@ class AdaptiveEventSteps:
 
     def over(self, stretch: Stretch, event: bool) -> Rows:
         """The rows in (start, end]; `event`: something changed at the start."""
-        t, crowd, left = stretch.start, 0, self.restart if event else 0
+        t, left, self._crowd = stretch.start, self.restart if event else 0, 0
+        if self._march is not None:
+            self._march.begin()
         yield from self._booked.rows(self.stepper.land(t, 0.0, 1))  # what happens at once
         left = left if self._booked.event is None else self.restart
         self._adaptive.after_event()
         for goal in goals(stretch.start, stretch.end, self.landing):
             while t < goal:
-                before = self.stepper.instance.get_state()
-                try:
-                    end, spent = self._adaptive.sized(t, goal)
-                except StepFailure as failure:
-                    self.book.failed(failure)
-                    raise
-                self.stepper.instance.restore(before)
-                first = self._first(t, end)
-                self.stepper.instance.restore(before)
-                end, crowd = (end, 0) if first is None or crowd == CROWD else (first, crowd + 1)
-                if left and self._damped is not None:
-                    parts = self._damped.land(t, end - t)
+                if self._march is None or (left and self._damped is not None):
+                    t = yield from self._one(t, goal, left > 0)
+                    left = max(left - 1, 0)
                 else:
-                    parts = self.stepper.land(t, end - t, 1, 0, False)
-                yield from self._booked.rows(parts, spent)
-                left = max(left - 1, 0) if self._booked.event is None else self.restart
-                if first is not None:
-                    self._adaptive.after_event()
-                t = end
+                    t = yield from self._many(self._march, t, goal)
+                left = left if self._booked.event is None else self.restart
 
-    def _first(self, t: float, end: float) -> float | None:
-        """When something happens first in the step, None for nothing; as far as it does not fail."""
+    def _many(self, march: NativeMarch, t: float, goal: float) -> Generator[Row, None, float]:
+        """Steps of compiled code; where they end."""
+        own, room, taken = self.stepper.instance, self._pace.steps, 0
+        before = self.stepper.row_before(own)
+        parts = self.stepper.landings(own, before, march.land(t, goal, room))
+        for row in self._booked.rows(parts):
+            taken += len(row[0])
+            yield row
+        self._pace.handed_over(max(taken, 1))
+        return march.t
+
+    def _one(self, t: float, goal: float, damped: bool) -> Generator[Row, None, float]:
+        """One step, sized and landed; where it ends."""
         try:
-            parts = self.stepper.land(t, end - t, 1, 0, False)
-            return next((p[3][0].t for p in parts if p[3] is not None and t < p[3][0].t < end), None)
-        except StepFailure:
-            return None
+            h, end, spent = self._adaptive.sized(t, goal)
+        except StepFailure as failure:
+            self.book.failed(failure)
+            raise
+        pause, n = self._crowd < CROWD, self._adaptive.parts
+        if damped and self._damped is not None:
+            parts = self._damped.land(t, h, pause=pause)
+        else:
+            parts = self.stepper.landed(self.stepper.instance, Grid(t, h / n, n, pause=pause), False)
+        yield from self._booked.rows(parts, spent)
+        found = self._booked.event
+        if not pause or found is None or found >= end:
+            self._crowd = 0
+            return end
+        self._crowd += 1
+        self._adaptive.after_event()
+        return found
 
     def facts(self) -> dict[str, Any]:
         """Facts about the steps for the result."""

@@ -213,10 +213,10 @@ class AdaptiveSteps:
         if self._march is not None and not damped:
             found = self._march.take(t, goal, room)
             return found.ends, found.steps, found.failure
-        end, steps = self.adaptive.advance(t, goal, damped)
+        ends, steps = self.adaptive.advance(t, goal, damped)
         self._wanted += damped
         self._restarted += damped and steps.numerical is not None
-        return [end], steps, None
+        return ends, steps, None
 
     @cached_property
     def _march(self) -> NativeMarch | None:

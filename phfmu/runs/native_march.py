@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -13,10 +14,11 @@ from numpy.typing import NDArray
 
 from phfmu.engine.native.library import Column, Record, drivers, record_widths
 from phfmu.engine.native.native import NativeInstance
+from phfmu.engine.native.native_landing import LandedRows, Room
 from phfmu.engine.native.structures import Header, Structures
 from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.outcome.status import StepFailure
-from phfmu.outcome.steps import Steps
+from phfmu.outcome.steps import Landed, Steps
 
 Array = NDArray[Any]
 
@@ -24,16 +26,19 @@ RUNTIME = Path(__file__).parent / "runtime"
 HEADER = Header((RUNTIME / "march.h",), ("ph_march",))
 #: what the controller carries from step to step
 CONTROL = ("h", "last", "smallest", "largest", "rejected")
-MISSED = -1
+#: results beside those of ph_status
+MISSED, SMALL = -1, -2
 
 
 @cache
 def _library() -> ctypes.CDLL:
     """The runtime with the signatures of march.h; CompilerMissing, CompileError."""
     lib = drivers()
-    pointer, integer = ctypes.c_void_p, ctypes.c_int
-    lib.ph_march_steps.restype = integer
-    lib.ph_march_steps.argtypes = [pointer, ctypes.POINTER(Record), ctypes.c_double, integer, ctypes.POINTER(integer)]
+    pointer, real, integer = ctypes.c_void_p, ctypes.c_double, ctypes.c_int
+    record = ctypes.POINTER(Record)
+    lib.ph_march_steps.restype = lib.ph_march_landed.restype = integer
+    lib.ph_march_steps.argtypes = [pointer, record, real, integer, ctypes.POINTER(integer)]
+    lib.ph_march_landed.argtypes = [pointer, record, real, ctypes.POINTER(LandedRows), pointer]
     return lib
 
 
@@ -43,7 +48,9 @@ class Controlled(Protocol):
     stepper: Monolithic
     other: Any
     control: Any
+    parts: int
     order: int
+    share: float
     rtol: float
     atol: float
     min_step: float
@@ -55,7 +62,7 @@ class Controlled(Protocol):
 
 @dataclass(frozen=True)
 class Marched:
-    """When accepted steps ended, the steps (None: not recorded, or there are none), and why there are no more."""
+    """When accepted steps ended, the steps (None: there are none), and why there are no more."""
 
     ends: list[float]
     steps: Steps | None
@@ -63,55 +70,108 @@ class Marched:
 
 
 class NativeMarch:
-    """The march of an `Adaptive` whose instances are native; `exactly`: steps however short, not recorded."""
+    """The march of an `Adaptive` whose instances are native; `pauses`: steps with guards are handed over after each event."""
 
-    def __init__(self, adaptive: Controlled, exactly: bool):
-        self._adaptive, self._exactly = adaptive, exactly
-        own, other, memory = adaptive.stepper.instance, adaptive.other, Structures(HEADER)
-        self._own, self._other, self._memory, self._lib = own.handle, other.handle, memory, _library()
+    def __init__(self, adaptive: Controlled, pauses: bool = False):
+        self._adaptive, memory = adaptive, Structures(HEADER)
+        self._memory, self._lib = memory, _library()
         n = adaptive.stepper.model.step.nx
         self._march = memory.fill("ph_march", {
-            "in": self._own.instance, "companion": self._other.instance,
-            "nx": n, "order": adaptive.order, "exactly": int(exactly),
-            "rtol": adaptive.rtol, "atol": adaptive.atol, "min_step": adaptive.min_step, "max_step": adaptive.max_step,
-            "nominal": adaptive.nominal, "before": np.zeros(n), "state": np.zeros(self._own.state_size // 8 + 1),
-            "ends": None, "t": 0.0, **{name: getattr(adaptive.control, name) for name in CONTROL},
-            "spent": 0.0, "estimator": 0, "size": 0.0, "error": 0.0, "worst": 0,
+            **self._instances(adaptive.stepper.instance, adaptive.other), "pauses": int(pauses),
+            **{name: getattr(adaptive, name) for name in ("parts", "order", "share", "rtol", "atol", "min_step", "max_step")},
+            "nx": n, "nominal": adaptive.nominal, "before": np.zeros(n), "state": None, "room": 0, "ends": None, "t": 0.0,
+            **{name: getattr(adaptive.control, name) for name in CONTROL},
+            "crowd": 0, "unfinished": 0, "end": 0.0, "spent": 0.0, "estimator": 0, "size": 0.0, "error": 0.0, "worst": 0,
         })  # fmt: skip
-        self._ends = np.zeros(0)
+        self._ends, self._state = np.zeros(0), np.zeros(0)
+
+    def _instances(self, own: Any, other: Any) -> dict[str, Any]:
+        """Where instance and companion are, with guards and modes if they have some."""
+        model, none = own.model, {"landing": None, "modes": None, "others": None, "sides": None, "beside": None,
+                                  "kept": None, "nside": 0, "nguard": 0, "ncomp": 0, "nsignal": 0}  # fmt: skip
+        if model.events is None:
+            return {"in": own.handle.instance, "companion": other.handle.instance, **none}
+        widths = {"nguard": model.events.n, "ncomp": model.step.ncomp}
+        self._landing = own.landing[0] if model.modes is None else own.native
+        widths["nsignal"] = self._landing.room(0, ()).width
+        if model.modes is None:
+            landing = self._landing.address
+            return {"in": own.handle.instance, "companion": other.handle.instance, **none, **widths, "landing": landing}
+        return {"in": None, "companion": None, **none, **widths, "modes": own.native.address, "others": other.native.address,
+                "sides": own.native.sides.ctypes.data, "beside": other.native.sides.ctypes.data,
+                "kept": np.zeros_like(own.native.sides), "nside": len(own.native.sides)}  # fmt: skip
 
     @staticmethod
-    def fits(adaptive: Controlled, exactly: bool) -> bool:
-        """Whether compiled code may step: inputs are held, no rows within steps are asked for, events do not happen in steps."""
-        stepper, own = adaptive.stepper, adaptive.stepper.instance
-        if type(own) is not NativeInstance or type(adaptive.other) is not NativeInstance:
-            return False
-        plain = exactly or own.model.events is None and stepper.between is None
-        return plain and stepper.followed is None and own.handle.kicked is None
+    def fits(adaptive: Controlled) -> bool:
+        """Whether compiled code may step: inputs are held, rows within steps are asked for of models with one mode only."""
+        stepper, both = adaptive.stepper, (adaptive.stepper.instance, adaptive.other)
+        one_mode = stepper.lands and stepper.model.modes is None
+        plain = stepper.followed is None and (stepper.between is None or one_mode)
+        present = [i if i.model.modes is None else i.present for i in both]
+        return plain and all(type(i) is NativeInstance and i.handle.kicked is None for i in present)
 
     def take(self, t: float, goal: float, room: int) -> Marched:
-        """At most `room` accepted steps from t, not beyond `goal`; after a failure the instance is where the last one ended."""
-        march, control, done = self._march, self._adaptive.control, ctypes.c_int()
-        rows, request = ({}, None) if self._exactly else self._record(room)
+        """Accepted steps from t, not beyond `goal`, about `room` at most; after a failure the instance is where the last one
+        ended."""
+        stepper, done = self._adaptive.stepper, ctypes.c_int()
+        room = max(room, self._adaptive.parts)
+        rows, request = self._record(room)
         if len(self._ends) < room:
             self._ends = np.zeros(room)
-            march.ends = self._ends.ctypes.data
+            self._march.ends = self._ends.ctypes.data
+        stepper.instance.expect(room)
+        code = self._called(t, lambda at: self._lib.ph_march_steps(at, request, goal, room, done))
+        n = done.value
+        steps = stepper.steps_of(stepper.instance, {name: values[:n] for name, values in rows.items()}) if n else None
+        return Marched(self._ends[:n].tolist(), steps, self._failure(code) if code else None)
+
+    def land(self, t: float, goal: float, room: int) -> Iterator[Landed]:
+        """The same with guards: steps and events from t, not beyond `goal`; StepFailure after those before it."""
+        stepper, landing = self._adaptive.stepper, self._landing
+        found: Room = landing.room(room, stepper.landed_records(stepper.instance))
+        switched = stepper.model.modes is not None
+        if switched:
+            landing.push()
+            self._adaptive.other.native.push()
+        code = self._called(
+            t,
+            lambda at: self._lib.ph_march_landed(at, found.request, goal, found.out, found.changed.ctypes.data),
+        )
+        if switched:
+            landing.pull()
+            self._adaptive.other.native.pull()
+        yield from landing.parts(found) if switched else found.parts()
+        if code and code != SMALL:  # which the next call makes room for
+            raise self._failure(code)
+
+    @property
+    def t(self) -> float:
+        """Where it is: the end of the last accepted step."""
+        return float(self._march.t)
+
+    def begin(self) -> None:
+        """Steps that ended on events before are not counted."""
+        self._march.crowd = 0
+
+    def _called(self, t: float, call: Any) -> int:
+        """The answer of a function of march.h from t on, with the controller handed over and back."""
+        march, control = self._march, self._adaptive.control
         march.t = t
         for name in CONTROL:
             setattr(march, name, getattr(control, name))
-        self._adaptive.stepper.instance.expect(room)
-        code = self._lib.ph_march_steps(ctypes.addressof(march), request, goal, room, done)
+        self._make_room()
+        code = call(ctypes.addressof(march))
         for name in CONTROL:
             setattr(control, name, getattr(march, name))
-        n, stepper = done.value, self._adaptive.stepper
-        taken = {name: values[:n] for name, values in rows.items()}
-        steps = stepper.steps_of(stepper.instance, taken) if taken and n else None
-        return Marched(self._ends[:n].tolist(), steps, self._failure(code) if code else None)
+        return code
 
-    @property
-    def spent(self) -> float:
-        """Iterations of the last accepted step, with all of its trials."""
-        return float(self._march.spent)
+    def _make_room(self) -> None:
+        """For the state of the present mode."""
+        own = self._adaptive.stepper.instance
+        size = (own if own.model.modes is None else own.present).handle.state_size
+        if size > 8 * self._march.room:
+            self._state = np.zeros(size // 8 + 1)
+            self._march.state, self._march.room = self._state.ctypes.data, len(self._state)
 
     def _record(self, room: int) -> tuple[dict[str, Array], Record]:
         """Arrays for so many steps, and where they are."""
@@ -126,11 +186,16 @@ class NativeMarch:
 
     def _failure(self, code: int) -> StepFailure:
         """Why there is no step."""
-        march = self._march
+        march, adaptive = self._march, self._adaptive
         if code == MISSED:
-            return self._adaptive.missed(march.t, march.size, march.error, march.worst)
+            return adaptive.missed(march.t, march.size, march.error, march.worst)
+        instance = adaptive.other if march.estimator else adaptive.stepper.instance
         try:
-            (self._other if march.estimator else self._own).check(code)
+            if instance.model.modes is not None:
+                instance.native.refuse(code)
+            elif instance.model.events is not None:
+                instance.landing[0].refuse(code)
+            instance.handle.check(code)
         except StepFailure as failure:
             return failure
         raise AssertionError(code)

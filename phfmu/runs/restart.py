@@ -52,9 +52,9 @@ class Restart:
         self.stepper.follow(own, self.instance)
         return steps
 
-    def land(self, t: float, h: float, changed: bool = False) -> Iterator[Landing]:
-        """A step from t that ends on the zeros of guards too, with the events in it; see `Monolithic.land`."""
-        own, grid, parts, failure = self.stepper.instance, Grid(t, h, 1), list[Landing](), None
+    def land(self, t: float, h: float, changed: bool = False, pause: bool = False) -> Iterator[Landing]:
+        """A step from t that ends on the zeros of guards too, with the events in it; see `Monolithic.landed`."""
+        own, grid, parts, failure = self.stepper.instance, Grid(t, h, 1, pause=pause), list[Landing](), None
         self.asked += 1
         self.stepper.follow(self.instance, own)
         try:

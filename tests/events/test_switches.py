@@ -108,8 +108,8 @@ def test_compiled_code_changes_modes_without_returning(bridges, monkeypatch):
     monkeypatch.setattr(SwitchedInstance, "change", None)
     stepped(bridges[3], NativeInstance, 50)
     instance, calls = SwitchedInstance(bridges[3], NativeInstance), []
-    land = instance._native._made.lib.ph_modes_land
-    monkeypatch.setattr(instance._native._made.lib, "ph_modes_land", lambda *a: calls.append(1) or land(*a))
+    land = instance.native._made.lib.ph_modes_land
+    monkeypatch.setattr(instance.native._made.lib, "ph_modes_land", lambda *a: calls.append(1) or land(*a))
     parts = list(instance.land(0.0, BRIDGE_STOP / 50, 50))
     assert len(calls) == 1 and sum(bool(part.happened and part.happened.switched) for part in parts) == 11
 

@@ -85,15 +85,19 @@ class NativeLanding:
 
     def on(self, n: int, record: Iterable[str], check: Callable[[int], None], pause: bool = False) -> Iterator[Landed]:
         """The rest of n grid steps, up to the first event if it is to `pause` there."""
-        sizes = record_widths(self._model, self._width)
-        room = Room({name: np.full((n + STEPS, sizes[name]), np.nan) for name in record}, n + STEPS,
-                    self._plan.n, self._model.step.ncomp, self._width, pause=pause)  # fmt: skip
+        room = self.room(n, record, pause)
         while not room.over:
             status = self._lib.ph_land(self._in, room.request, room.out)
             yield from room.parts()
             if status:
                 self.refuse(status)
                 check(status)
+
+    def room(self, n: int, record: Iterable[str], pause: bool = False) -> Room:
+        """Memory for n grid steps with their events, and some more."""
+        sizes = record_widths(self._model, self._width)
+        rows = {name: np.full((n + STEPS, sizes[name]), np.nan) for name in record}
+        return Room(rows, n + STEPS, self._plan.n, self._model.step.ncomp, self._width, pause=pause)
 
     def step(self, t: float, h: float, parts: int, check: Callable[[int], None]) -> tuple[Happened, ...]:
         """A communication step in `parts` equal internal steps, told as one; the events in it."""
@@ -139,7 +143,7 @@ class Room:
         *,
         pause: bool = False,
     ):
-        self.request, self._rows = Record(parts=1), rows
+        self.request, self._rows, self.width = Record(parts=1), rows, width
         for name, array in rows.items():
             setattr(self.request, name, Column(array.ctypes.data, array.shape[1]))
         self._t, self._h, self._when = np.zeros(steps), np.zeros(steps), np.zeros(EVENTS)

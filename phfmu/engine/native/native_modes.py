@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -110,31 +110,52 @@ class NativeModes:
 
     def land(self, grid: Grid, record: tuple[str, ...], changed: bool) -> Iterator[Landed]:
         """Grid steps with their events; modes change between two rows."""
-        switched, lib, plan = self._switched, self._made.lib, self._model.step
-        width = self._made.told + plan.ncomp
-        lib.ph_modes_prepare(self._in, switched.typical_step)
-        self._push()
+        lib = self._made.lib
+        self.push()
         lib.ph_modes_from(self._in, grid.t0, grid.h, grid.first, grid.n, int(changed))
-        sizes = record_widths(self._model, width)
-        kept = {name: np.full((grid.n + STEPS, sizes[name]), np.nan) for name in record}
-        if "signals" in kept:  # hidden constraints that a mode shows before they are left out
-            kept["signals"] = np.full((grid.n + STEPS, width + plan.nx + plan.na), np.nan)
-        room = Room(kept, grid.n + STEPS, self._model.events.n, plan.ncomp, width, self._n, pause=grid.pause)
+        room = self.room(grid.n, record, grid.pause)
         while not room.over:
-            self._push()
+            self.push()
             status = lib.ph_modes_land(self._in, room.request, room.out, room.changed.ctypes.data)
-            self._pull()
-            for part in room.parts(self._words):
-                if "signals" in part.rows:
-                    part.rows["signals"] = part.rows["signals"][:, :width]
-                yield part
+            self.pull()
+            yield from self.parts(room)
             if status:
-                self._refuse(status)
+                self.refuse(status)
 
-    def _push(self) -> None:
+    def room(self, n: int, record: Iterable[str], pause: bool = False) -> Room:
+        """Memory for n grid steps with their events, and some more."""
+        model, plan = self._model, self._model.step
+        width = self._made.told + plan.ncomp
+        sizes = record_widths(model, width)
+        rows = {name: np.full((n + STEPS, sizes[name]), np.nan) for name in record}
+        if "signals" in rows:  # hidden constraints that a mode shows before they are left out
+            rows["signals"] = np.full((n + STEPS, width + plan.nx + plan.na), np.nan)
+        return Room(rows, n + STEPS, model.events.n, plan.ncomp, width, self._n, pause=pause)
+
+    def parts(self, room: Room) -> Iterator[Landed]:
+        """The steps and events of the last call."""
+        for part in room.parts(self._words):
+            if "signals" in part.rows:
+                part.rows["signals"] = part.rows["signals"][:, : room.width]
+            yield part
+
+    @property
+    def address(self) -> int:
+        """Address of the changes of modes in memory."""
+        return self._in
+
+    @property
+    def sides(self) -> np.ndarray:
+        """The memory of the sides of switches, which `push` writes and `pull` reads."""
+        return self._sides
+
+    def push(self) -> None:
+        """Compiled code goes on in the mode that the instance is in."""
+        self._made.lib.ph_modes_prepare(self._in, self._switched.typical_step)
         self._sides[:] = self._switched.sides
 
-    def _pull(self) -> None:
+    def pull(self) -> None:
+        """The instance is in the mode where compiled code ended."""
         self._switched.sides = tuple(int(v) for v in self._sides)
 
     def _words(self, changed: Any) -> tuple[str, ...]:
@@ -142,7 +163,7 @@ class NativeModes:
         switches = self._model.modes.modes.switches
         return tuple(f"{switches[j].name} {'on' if changed[j] == 2 else 'off'}" for j in np.flatnonzero(changed))
 
-    def _refuse(self, status: int) -> None:
+    def refuse(self, status: int) -> None:
         """Raises what a status means."""
         if self._failure is not None:
             failure, self._failure = self._failure, None

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,7 @@ from phfmu.network.members.consistent import require_consistent
 from phfmu.network.members.happenings import Happenings
 from phfmu.network.members.inputs import Inputs
 from phfmu.outcome.status import StepFailure
-from phfmu.outcome.steps import LEDGER, Happened, StepEvent, Steps
+from phfmu.outcome.steps import LEDGER, Happened, Landed, StepEvent, Steps
 from phfmu.schemes.scheme import Scheme
 from phfmu.signals import SignalKind, labels
 
@@ -32,6 +33,21 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 Between = Callable[[Any, Array, dict[str, Array], Array, Array], Array]
+
+
+#: models of the same declarations under other schemes, each as long as the first one is in use
+_COMPANIONS: WeakKeyDictionary[Model, dict[Scheme, Model]] = WeakKeyDictionary()
+
+
+def _companion(model: Model, scheme: Scheme) -> Model:
+    """The model of the same declaration under another scheme, planned once."""
+    if scheme == model.scheme:
+        return model
+    known = _COMPANIONS.setdefault(model, {})
+    if scheme not in known:
+        declaration = model.declaration if model.modes is None else model.modes.modes.declaration
+        known[scheme] = build_model(declaration, scheme)
+    return known[scheme]
 
 
 class Monolithic:
@@ -166,14 +182,27 @@ class Monolithic:
                 if paused:
                     return
             return
-        words, before = Happenings(self.model), np.zeros(0) if self.between is None else instance.row()
         given = self._at_nodes(instance, grid.t0, grid.h, grid.n, grid.first)
         if given is not None:  # inputs are held between events, with their mean over each grid step
             instance.set_input(instance.model.scheme.nodes.b @ given[0])
+        wanted, changed = self.landed_records(instance), changed or given is not None
+        row = self.row_before(instance)
+        parts = instance.land(grid.t0, grid.h, grid.n, wanted, grid.first, changed, pause=grid.pause)
+        yield from self.landings(instance, row, parts)
+
+    def landed_records(self, instance: Any) -> tuple[str, ...]:
+        """The records that `landings` needs of what the instance lands."""
         wanted = self.wanted(instance)
-        wanted = wanted if self.between is None else (*wanted, "unknowns")
-        changed, (t0, h, n) = changed or given is not None, (grid.t0, grid.h, grid.n)
-        for part in instance.land(t0, h, n, wanted, grid.first, changed, pause=grid.pause):
+        return wanted if self.between is None else (*wanted, "unknowns")
+
+    def row_before(self, instance: Any) -> Array:
+        """All signals of the instance now, if rows within steps are asked for."""
+        return np.zeros(0) if self.between is None else instance.row()
+
+    def landings(self, instance: Any, before: Array, parts: Iterable[Landed]) -> Iterator[Landing]:
+        """What the instance has landed, in the columns of a run; `before`: its row at the start."""
+        words = Happenings(self.model)
+        for part in parts:
             steps, happened = None, part.happened
             if part.rows:
                 steps, before = self._filled(instance, before, part.rows, part.t, part.h), part.rows["signals"][-1]
@@ -218,10 +247,8 @@ class Monolithic:
 
     def companion(self, scheme: Scheme) -> Any:
         """An instance of the same declaration and engine under another scheme."""
-        modes, present = self.model.modes, self.instance
-        if modes is None:
-            return type(present)(build_model(self.model.declaration, scheme))
-        return stepped(build_model(modes.modes.declaration, scheme), type(present.present))
+        present, model = self.instance, _companion(self.model, scheme)
+        return stepped(model, type(present if self.model.modes is None else present.present))
 
     def taken(self, instance: Any, t0: float, h: float, n: int, first: int = 0) -> Steps:
         """n steps of the instance or of a companion."""
