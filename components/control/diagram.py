@@ -6,7 +6,7 @@ a block whose time constants are 0 is not there, as is customary in data of powe
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import casadi as ca
@@ -28,6 +28,8 @@ from phfmu import (
 
 #: parameters without unit that are positive: permanent and temporary droop
 POSITIVE = ("R", "r")
+#: units of a signal in per unit and of its derivatives
+DERIVATIVE = ("1", "1/s", "1/s2", "1/s3")
 
 
 class Diagram:
@@ -46,20 +48,24 @@ class Diagram:
     ) -> ca.SX:
         """A parameter by its standard name; times, droops and bases are positive."""
         self.values[name] = float(value)
-        least = 0.0 if unit == "s" and not value else None
+        least = 0.0 if unit == "s" and positive and not value else None
         made = parameter(
             name, value, unit=unit, min=least, positive=positive and least is None, description=description
         )
         self.parameters.append(made)
         return made.sx
 
-    def data(self, given: dict[str, float], seconds: Sequence[str] = ()) -> dict[str, ca.SX]:
-        """Several parameters; those named in `seconds` are times.  ValueError for times below zero."""
+    def data(
+        self, given: dict[str, float], seconds: Sequence[str] = (), units: Mapping[str, str] | None = None
+    ) -> dict[str, ca.SX]:
+        """Several parameters; those named in `seconds` are times, `units` tells others.  ValueError for times below zero."""
         wrong = [f"{n} = {given[n]:g} s" for n in seconds if not given[n] >= 0]
         if wrong:
             raise ValueError(f"{self.name}: times must not be negative: {', '.join(wrong)}")
+        told = dict.fromkeys(seconds, "s")
+        other = units or {}
         return {
-            n: self.parameter(n, v, unit="s" if n in seconds else "1", positive=n in (*seconds, *POSITIVE))
+            n: self.parameter(n, v, unit=told.get(n) or other.get(n, "1"), positive=n in (*seconds, *POSITIVE))
             for n, v in given.items()
         }
 
@@ -74,9 +80,9 @@ class Diagram:
         self.parameters.append(made)
         return made.sx
 
-    def state(self, name: str, start: float = 0.0, description: str = "") -> Variable:
-        """A state in per unit, whose rate `drive` says."""
-        made = state(name, start=start, nominal=1.0, description=description)
+    def state(self, name: str, start: float = 0.0, description: str = "", *, unit: str = "1") -> Variable:
+        """A state, in per unit if no other is told, whose rate `drive` says."""
+        made = state(name, start=start, nominal=1.0, unit=unit, description=description)
         self.states.append(made)
         return made
 
@@ -84,9 +90,9 @@ class Diagram:
         """The rate of a state, with a limit without wind-up where `limits` = (lo, hi) are given."""
         self.rates[x] = rate if limits is None else self._with(limited(x, rate, *limits, seconds=seconds or 1.0))
 
-    def clip(self, name: str, expr: Any, lo: Any, hi: Any, nominal: float = 1.0) -> ca.SX:
+    def clip(self, name: str, expr: Any, lo: Any, hi: Any, nominal: float = 1.0, *, unit: str = "1") -> ca.SX:
         """The value between its limits."""
-        return self._with(clipped(name, expr, lo, hi, nominal=nominal))
+        return self._with(clipped(name, expr, lo, hi, nominal=nominal, unit=unit))
 
     def lesser(self, name: str, a: Any, b: Any) -> ca.SX:
         """The lesser value."""
@@ -136,7 +142,7 @@ class Diagram:
             )
         if not order:
             return num[0] / den[0] * u
-        x = [self.state(f"{name}{k + 1}") for k in range(order)]
+        x = [self.state(f"{name}{k + 1}", unit=DERIVATIVE[k]) for k in range(order)]
         top = (u - sum((den[k] * x[k].sx for k in range(order)), ca.SX(0))) / den[order]
         derivatives = [v.sx for v in x] + [top]
         for k, v in enumerate(x):

@@ -48,7 +48,7 @@ def exac1(
     FEX is the regulation of the rectifier: 1 - IN/sqrt(3) to IN = sqrt(3)/4, sqrt(3/4 - IN^2) to 3/4, sqrt(3) (1 - IN) to 1.
     SE(VE) = A exp(B VE) through (E1, SE1), (E2, SE2); SE1 = 0: no saturation.
 
-    E1, SE1, E2, SE2 [1].
+    E1, SE1, E2, SE2 [1], KF [s].
     Signal inputs:   V, Vs [1], Ifd [A] field current;  signal outputs: field [V], Efd_pu [1]
     States:          measured, lead, VR, VE, rate [1];  modes: VR_at, VE_at
     Source: IEEE Std 421.5-2005, figure 6-1 (AC1A) and table of sample data; Siemens PTI, PSS/E model library, EXAC1.
@@ -56,7 +56,7 @@ def exac1(
     d = Diagram("exac1")
     given = {"TR": TR, "TB": TB, "TC": TC, "KA": KA, "TA": TA, "VRMAX": VRMAX, "VRMIN": VRMIN, "TE": TE, "KF": KF,
              "TF": TF, "KC": KC, "KD": KD, "KE": KE}  # fmt: skip
-    p = d.data(given, ("TR", "TB", "TC", "TA", "TE", "TF"))
+    p = d.data(given, ("TR", "TB", "TC", "TA", "TE", "TF"), {"KF": "s"})
     if not TE > 0:
         raise ValueError(f"exac1: TE = {TE:g} s must be positive")
     current = d.input("Ifd", base.Ibase, "field current", unit="A") / d.parameter(
@@ -83,7 +83,7 @@ def ieeex1(
 
     SE(Efd) = A exp(B Efd) through (E1, SE1), (E2, SE2); SE1 = 0: no saturation.
 
-    E1, SE1, E2, SE2 [1].
+    E1, SE1, E2, SE2 [1], KF [s].
     Signal inputs:   V, Vs [1];  signal outputs: field [V], Efd_pu [1]
     States:          measured, lead, VR, Efd, rate [1];  modes: VR_at
     Source: IEEE Std 421.5-2005, figure 5-1 (DC1A); Siemens PTI, PSS/E model library, IEEEX1.
@@ -91,7 +91,7 @@ def ieeex1(
     d = Diagram("ieeex1")
     given = {"TR": TR, "KA": KA, "TA": TA, "TB": TB, "TC": TC, "VRMAX": VRMAX, "VRMIN": VRMIN, "KE": KE, "TE": TE,
              "KF": KF, "TF1": TF1}  # fmt: skip
-    p = d.data(given, ("TR", "TB", "TC", "TA", "TE", "TF1"))
+    p = d.data(given, ("TR", "TB", "TC", "TA", "TE", "TF1"), {"KF": "s"})
     if not TE > 0:
         raise ValueError(f"ieeex1: TE = {TE:g} s must be positive")
     efd = d.state("Efd", 1.0, "field voltage")
@@ -114,7 +114,7 @@ def st1a(
         VA = KA/(1 + s TA) (1 + s TC)(1 + s TC1)/((1 + s TB)(1 + s TB1)) VI,    VAMIN <= VA <= VAMAX without wind-up
         Efd = clip(VA - KLR max(Ifd - ILR, 0), V VRMIN, V VRMAX - KC Ifd)
 
-    KF, KLR, ILR [1], TF [s].  Its gates for limiters of excitation have no input.
+    KLR, ILR [1], KF, TF [s].  Its gates for limiters of excitation have no input.
 
     Signal inputs:   V, Vs [1], Ifd [A] field current;  signal outputs: field [V], Efd_pu [1]
     States:          measured, lead, lead1, VA, rate [1];  modes: VI_at, VA_at, Efd_at, over_second
@@ -144,7 +144,7 @@ def st1a(
     if TA:
         VA = d.state("VA", 1.0, "regulator output")
         efd = output(VA.sx)
-        VF = d.feedback("rate", efd, d.parameter("KF", KF), d.time("TF", TF)) if KF else 0.0
+        VF = d.feedback("rate", efd, d.parameter("KF", KF, unit="s"), d.time("TF", TF)) if KF else 0.0
         d.drive(VA, (p["KA"] * compensated(VF) - VA.sx) / p["TA"], limits, TA)
     elif KF:
         raise ValueError(f"st1a: KF = {KF:g} needs TA > 0: Efd would depend on itself at once")

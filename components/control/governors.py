@@ -57,13 +57,13 @@ def hygov(
     for name in ("Tr", "Tf", "Tg", "TW", "r", "At"):
         if not given[name] > 0:
             raise ValueError(f"hygov: {name} = {given[name]:g} must be positive")
-    p = d.data(given, ("Tr", "Tf", "Tg", "TW"))
+    p = d.data(given, ("Tr", "Tf", "Tg", "TW"), {"VELM": "1/s"})
     dw, start = _deviation(d, base), nref / R if R else 0.8
     e, c = d.state("error"), d.state("c", start, "desired gate")
     g, q = d.state("g", start, "gate"), d.state("q", start, "flow of the water")
     rate = (d.parameter("nref", nref, "reference of the speed") - dw - p["R"] * c.sx - e.sx) / p["Tf"]
     d.drive(e, rate)
-    speed = d.clip("speed", (e.sx + p["Tr"] * rate) / (p["r"] * p["Tr"]), -p["VELM"], p["VELM"], VELM)
+    speed = d.clip("speed", (e.sx + p["Tr"] * rate) / (p["r"] * p["Tr"]), -p["VELM"], p["VELM"], VELM, unit="1/s")
     d.drive(c, speed, (p["GMIN"], p["GMAX"]), 1.0 / VELM)
     d.drive(g, (c.sx - g.sx) / p["Tg"])
     h = (q.sx / g.sx) ** 2

@@ -19,7 +19,7 @@ def pss1a(
         y = 1/(1 + s A1 + s^2 A2) KS/(1 + s T6) s T5/(1 + s T5) (u/u_base - rest)
         Vs = clip((1 + s T1)/(1 + s T2) (1 + s T3)/(1 + s T4) y, VSTMIN, VSTMAX)
 
-    `u_base`: of one per unit;  `rest` [1]: what u is at rest.
+    `u_base`: of one per unit;  `rest` [1]: what u is at rest;  A1 [s], A2 [s2].
 
     H:  0: its states have no energy, and it does no work
     Signal inputs:   u [`unit`] (speed, frequency or power);  signal outputs: Vs [1]
@@ -28,7 +28,7 @@ def pss1a(
     """
     d = Diagram("pss1a")
     given = {"A1": A1, "A2": A2, "T1": T1, "T2": T2, "T3": T3, "T4": T4, "T5": T5, "T6": T6, "KS": KS}
-    p = d.data(given, ("T1", "T2", "T3", "T4", "T5", "T6"))
+    p = d.data(given, ("T1", "T2", "T3", "T4", "T5", "T6"), {"A1": "s", "A2": "s2"})
     u = _deviation(d, rest, u_base, unit)
     y = d.washout("washout", d.lag("input", u, "T6", p["KS"]), 1.0, "T5", "T5")
     y = d.transfer("filter", y, (1.0,), (1.0, p["A1"], p["A2"]), _order((1.0, A1, A2)))
@@ -47,7 +47,7 @@ def ieeest(
         y = (1 + A5 s + A6 s^2)/((1 + A1 s + A2 s^2)(1 + A3 s + A4 s^2)) (u/u_base - rest)
         Vs = clip(KS s T5/(1 + s T6) (1 + s T1)/(1 + s T2) (1 + s T3)/(1 + s T4) y, LSMIN, LSMAX)
 
-    `u_base`: of one per unit;  `rest` [1]: what u is at rest.
+    `u_base`: of one per unit;  `rest` [1]: what u is at rest;  A1, A3, A5 [s], A2, A4, A6 [s2].
     Its cut-off at voltages above VCU and below VCL is left out (VCU = VCL = 0, as in most data).
 
     H:  0: its states have no energy, and it does no work
@@ -58,7 +58,8 @@ def ieeest(
     d = Diagram("ieeest")
     given = {"A1": A1, "A2": A2, "A3": A3, "A4": A4, "A5": A5, "A6": A6, "T1": T1, "T2": T2, "T3": T3, "T4": T4,
              "T5": T5, "T6": T6, "KS": KS}  # fmt: skip
-    p = d.data(given, ("T1", "T2", "T3", "T4", "T5", "T6"))
+    notches = {n: "s" if n in ("A1", "A3", "A5") else "s2" for n in ("A1", "A2", "A3", "A4", "A5", "A6")}
+    p = d.data(given, ("T1", "T2", "T3", "T4", "T5", "T6"), notches)
     u = _deviation(d, rest, u_base, unit)
     above = (1.0, p["A5"], p["A6"])[: _order((1.0, A5, A6)) + 1]
     below = (1.0, p["A1"] + p["A3"], p["A2"] + p["A1"] * p["A3"] + p["A4"], p["A1"] * p["A4"] + p["A2"] * p["A3"],
