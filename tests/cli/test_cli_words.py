@@ -128,7 +128,7 @@ def test_a_terminal_without_the_letters(tmp_path: Path, verb: str) -> None:
     """The exit code is that of the verb; letters that the terminal does not have are spelled out."""
     (tmp_path / "m.py").write_text(
         "from dataclasses import replace\nfrom phfmu.components.mechanical.translational import mass\n"
-        "from phfmu.components.library import LIBRARY, TABLE\nLIBRARY['mass'] = (*LIBRARY['mass'][:2], 'größe ω')\n"
+        "from phfmu.components.library import TABLE\nTABLE['mass'] = (*TABLE['mass'][:2], 'größe ω')\n"
         "def größe(): return replace(mass(), name='größe_ω', description='größe ω')\n",
         encoding="utf-8",
     )

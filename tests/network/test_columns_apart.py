@@ -24,7 +24,7 @@ CLOSE = 1e-8
 WHOLE = {"bouncing_ball", "bead", "rectifier", "buck", "hard_stop", "clutch_engagement", "six_pulse"}
 SCENES = [n for n, (kind, *_) in LIBRARY.items() if kind == "scene" and n not in WHOLE]
 #: scenes with state events, which units of order 2k do not take
-NO_UNITS = {"two_point_control", "buffer", "breaker_opening", "smib_breaker"}
+NO_UNITS = {"two_point_control", "buffer", "breaker_opening", "smib_breaker", "island", "smib_exciter"}
 #: differences of energies that cancel: rounding beside the energies in play
 LEDGERS = {what for what, *_ in LEDGER}
 
