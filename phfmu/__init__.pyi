@@ -32,6 +32,10 @@ from phfmu.declare.port import Domain as Domain
 from phfmu.declare.port import Given as Given
 from phfmu.declare.port import Port as Port
 from phfmu.declare.port import drive as drive
+from phfmu.declare.shape import Place as Place
+from phfmu.declare.shape import Shape as Shape
+from phfmu.declare.shape import ShapeKind as ShapeKind
+from phfmu.declare.shape import Tension as Tension
 from phfmu.declare.signal import driven as driven
 from phfmu.declare.signal import signal_input as signal_input
 from phfmu.declare.signal import signal_output as signal_output

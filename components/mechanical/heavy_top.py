@@ -46,6 +46,8 @@ def heavy_top(
     for i, j in ((0, 1), (0, 2), (1, 2)):
         body.constraint(lambda at, i=i, j=j: ca.dot(at(d[i]), at(d[j])), f"directors {i + 1} and {j + 1} orthogonal")
     body.constraint(lambda at: at(c) - stem * at(d[2]), "centre on the stem")
+    body.solid("cylinder", c, size=(radius, radius / 12), axes=d, label="disc")
+    body.solid("rod", body.support((0.0, 0.0, 0.0)), c, size=(radius / 25,), label="stem")
     return body.build()
 
 

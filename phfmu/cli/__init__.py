@@ -34,6 +34,7 @@ def _parser() -> Parser:
         run,
         stress,
         sweep,
+        view,
     )
 
     parser = Parser(
@@ -49,6 +50,7 @@ def _parser() -> Parser:
         run,
         sweep,
         plot,
+        view,
         report,
         compare,
         export,

@@ -17,14 +17,16 @@ from phfmu.fmu.isolation import exit_guard
 
 if TYPE_CHECKING:
     from phfmu.audit import AuditWriter
+    from phfmu.declare.shape import Shape
     from phfmu.network.scene import Event
     from phfmu.report.live_recording import LiveRecording
+    from phfmu.report.view.recorded import LiveMotion
     from phfmu.results.writer import TableWriter
     from phfmu.runs.options import Options
 
 
 class Outputs:
-    """The files of -o, --audit and --plot.
+    """The files of -o, --audit, --plot and --view.
 
     Made before the model is: what would fail after the run fails here (ValueError, OSError), and the paths are those
     of the present folder, wherever a unit goes later. As a context manager it ends the files; on an exception they keep
@@ -33,13 +35,16 @@ class Outputs:
 
     def __init__(self, args: argparse.Namespace):
         audit = audit_file(args)
-        self._shown = {"-o": args.output, "--audit": audit, "--plot": args.plot}
+        self._shown = {"-o": args.output, "--audit": audit, "--plot": args.plot, "--view": args.view}
         self._table_path = self._audit_path = None
         self.table: TableWriter | None = None
         self.sink: AuditWriter | None = None
-        self._units_row, self._quiet, self._title = args.units_row, args.quiet, ""
+        self._units_row, self._quiet, self._title, self._target = args.units_row, args.quiet, "", args.target
         self._picture: Path | None = None
         self._drawn: LiveRecording | None = None
+        self._view: Path | None = None
+        self._moved: LiveMotion | None = None
+        self._shapes: tuple[Shape, ...] = ()
         #: wall time spent on the result table
         self.seconds = 0.0
         #: what the picture does not show
@@ -59,14 +64,19 @@ class Outputs:
 
             check_picture(args.plot, "--plot")
             self._picture = Path(args.plot).absolute()
+        if args.view:
+            from phfmu.report.view.recorded import check_view
+
+            check_view(args.view, "--view")
+            self._view = Path(args.view).absolute()
         if self._table_path and self._audit_path:
             here = self._table_path.resolve()
             if here in (self._audit_path.resolve(), self._audit_path.with_suffix(".parquet").resolve()):
                 raise ValueError(f"-o and --audit both name {args.output}; give the audit a file of its own")
 
-    def begin(self, about: dict[str, str]) -> None:
-        """Open the audit of a run; the picture is called by what `about` tells."""
-        self._title = ": ".join(about.values())
+    def begin(self, about: dict[str, str], shapes: tuple[Shape, ...] = ()) -> None:
+        """Open the audit of a run with these shapes; pictures are called by what `about` tells."""
+        self._title, self._target, self._shapes = ": ".join(about.values()), about["target"], shapes
         if self._audit_path:
             from phfmu.audit import AuditWriter
 
@@ -86,6 +96,10 @@ class Outputs:
             marks = [Mark(e.t, f"{e.name} = {e.value:.6g}") for e in events]
             told = (dict(zip(names, texts, strict=True)) for texts in (units, kinds, labels))
             self._drawn = LiveRecording(self._title, names, marks, *told)
+        if self._view:
+            from phfmu.report.view.recorded import LiveMotion
+
+            self._moved = LiveMotion(self._target, self._shapes, names, options.t0, options.stop)
         if self._table_path:
             from phfmu.results.writer import TableWriter
 
@@ -100,6 +114,8 @@ class Outputs:
             self.seconds += perf_counter() - before
         if self._drawn is not None:
             self._drawn.add(time, values)
+        if self._moved is not None:
+            self._moved.add(time, values)
 
     def happened(self, time: float, message: str) -> None:
         """A state event."""
@@ -132,6 +148,7 @@ class Outputs:
         try:
             if self.table is not None and self.table.rows:
                 self.table.close()
+                self._tell_shapes()
                 said.append(f"{self._shown['-o']}, {self.table.rows} rows to t = {self.table.last:.9g} s")
         finally:
             if self.sink is not None and self.sink.rows:
@@ -139,7 +156,24 @@ class Outputs:
                 said.append(f"the audit {self._shown['--audit']}")
             elif self.sink is not None:
                 self.sink.discard()
-        return said + self._draw()
+        return said + self._draw() + self._show()
+
+    def _tell_shapes(self) -> None:
+        """The shapes beside the table, where there are some or were."""
+        path = self._table_path
+        if path is not None and (self._shapes or path.with_suffix(".shapes.json").exists()):
+            from phfmu.results.shapes_file import write_shapes
+
+            write_shapes(path, self._shapes)
+
+    def _show(self) -> list[str]:
+        """The motion of the rows, if it was asked for and there are any."""
+        if self._view is None or self._moved is None or not self._moved.rows:
+            return []
+        from phfmu.report.view.recorded import write
+
+        write(self._moved.motion(), self._view)
+        return [f"the motion {self._shown['--view']}"]
 
     def _draw(self) -> list[str]:
         """The picture of the rows, if it was asked for and there are any."""

@@ -20,7 +20,7 @@ from phfmu.declare.variable import time
 
 #: what alike declarations may differ in
 FREE = {"start", "description"}
-OF_THE_WHOLE = {"name", "description"}
+OF_THE_WHOLE = {"name", "description", "shapes"}
 
 _FIRST: WeakValueDictionary[Hashable, PHDAE] = WeakValueDictionary()
 _KNOWN: WeakKeyDictionary[PHDAE, PHDAE] = WeakKeyDictionary()

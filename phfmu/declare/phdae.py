@@ -23,6 +23,7 @@ from phfmu.declare.event import StateEvent, renamed
 from phfmu.declare.holonomic import Holonomic
 from phfmu.declare.observable import Observable
 from phfmu.declare.port import Port
+from phfmu.declare.shape import Shape
 from phfmu.declare.switch import Switch, renamed_switches
 from phfmu.declare.variable import Variable, VariableKind, _sx
 from phfmu.html import grid
@@ -46,6 +47,7 @@ class PHDAE:
     state_events: guards that steps end on, and what happens there
     switches:    ideal switches: a structure for each of their modes
     members:     owners of the terms of a composed network;  junctions: (name, member ports) it was joined at
+    shapes:      what a picture of the motion shows; no equations
     """
 
     name: str
@@ -66,6 +68,7 @@ class PHDAE:
     members: tuple[str, ...] = ("",)
     junctions: tuple[tuple[str, tuple[str, ...]], ...] = ()
     description: str = ""
+    shapes: tuple[Shape, ...] = ()
 
     def __post_init__(self) -> None:
         found: list[Problem] = []
@@ -205,6 +208,7 @@ _PARTS: tuple[tuple[str, type, str], ...] = (
     ("observables", Observable, "observable(..)"),
     ("state_events", StateEvent, "StateEvent(..)"),
     ("switches", Switch, "Switch(..)"),
+    ("shapes", Shape, "Shape(..)"),
 )
 
 

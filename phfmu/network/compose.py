@@ -63,6 +63,7 @@ def compose(
         members=_all(parts, "members"),
         junctions=tuple((j.name, tuple(map(str, j.ends))) for j in junctions),
         description=description,
+        shapes=_all(parts, "shapes"),
     )
 
 
@@ -124,6 +125,7 @@ def _prefixed(prefix: str, model: PHDAE, feed: dict[End, Unknowns]) -> PHDAE:
         switches=tuple(replace(s, name=f"{prefix}.{s.name}", owner=_owner(prefix, s.owner)) for s in new.switches),
         members=tuple(_owner(prefix, m) for m in model.members),
         junctions=(),
+        shapes=tuple(s.prefixed(prefix) for s in new.shapes),
     )
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from phfmu.declare.phdae import PHDAE, require_declaration
+from phfmu.declare.shape import Shape
 from phfmu.html import grid
 from phfmu.network.network import Network
 from phfmu.words import counted
@@ -60,6 +61,13 @@ class Scene:
     def units(self) -> dict[str, UnitFile]:
         """Members that are FMUs; with such the scene is no one PHDAE."""
         return self.system.units if isinstance(self.system, Network) else {}
+
+    @property
+    def shapes(self) -> tuple[Shape, ...]:
+        """The shapes of its declared members, by the names of a run."""
+        if not isinstance(self.system, Network):
+            return self.system.shapes
+        return tuple(s.prefixed(name) for name, member in self.system.declared.items() for s in member.shapes)
 
     def declaration(self) -> PHDAE:
         """The scene as one PHDAE; ConnectionError names units in it."""

@@ -13,6 +13,7 @@ import casadi as ca
 from phfmu import (
     PHDAE,
     Domain,
+    ShapeKind,
     Variable,
     parameter,
     time,
@@ -36,6 +37,7 @@ from phfmu.components.mechanical.multibody.parts import (
     RatePort,
     Reported,
     Scalar,
+    Solid,
     Spring,
     Strain,
     Support,
@@ -235,6 +237,29 @@ class Multibody:
     def observable(self, name: str, unit: str, of: Callable[[Any], ca.SX], description: str = "") -> None:
         """A reported expression of(d) of d.at(point), d.speed(point) and d.multiplier[label]."""
         self.parts.reported.append(Reported(name, unit, of, description))
+
+    # -- pictures -----------------------------------------------------------------------------------------------------
+
+    def solid(
+        self, kind: ShapeKind | str, *points: Point, size: Sequence[float], axes: Sequence[Point] = (), label: str = ""
+    ) -> None:
+        """A solid that pictures show; it has no mass and no force.
+
+        kind, points and size [m]: "ball" (centre; radius), "box" (centre; three edges along the axes), "cylinder" (centre;
+        radius, length along the third axis), "rod" (both ends; radius).  axes: as many directors that turn it as there are
+        dimensions, or none.
+        """
+        named = ShapeKind(kind)
+        needed = {ShapeKind.BALL: (1, 1), ShapeKind.BOX: (1, 3), ShapeKind.CYLINDER: (1, 2), ShapeKind.ROD: (2, 1)}.get(
+            named
+        )
+        if needed != (len(points), len(size)) or len(axes) not in (0, self.dim):
+            raise ValueError(
+                f"{self.name}: solid '{named}' with {len(points)} points, size {tuple(size)} and {len(axes)} axes: a ball has "
+                "a centre and its radius, a box a centre and three edges, a cylinder a centre, radius and length, a rod two "
+                f"ends and its radius; axes are {self.dim} directors, or none"
+            )
+        self.parts.solids.append(Solid(named, points, tuple(axes), tuple(map(float, size)), label or named.value))
 
     # -- the declaration --------------------------------------------------------------------------------------------
 

@@ -39,6 +39,7 @@ from phfmu.components.mechanical.multibody.parts import (
     Rate,
     Support,
 )
+from phfmu.components.mechanical.multibody.shapes import shapes
 
 
 class Declaration:
@@ -132,6 +133,7 @@ class Declaration:
             constraints=constraints,
             observables=observables,
             description=parts.description,
+            shapes=shapes(self),
         )
 
     def energies(self) -> Iterator[Energy]:

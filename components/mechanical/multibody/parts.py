@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import casadi as ca
 
-from phfmu import Domain, Variable
+from phfmu import Domain, ShapeKind, Variable
 
 Given = Literal["effort", "flow"]
 
@@ -165,6 +165,17 @@ class Reported:
     description: str
 
 
+@dataclass(frozen=True)
+class Solid:
+    """A part of the picture alone: kind, points and lengths [m] as `phfmu.ShapeKind` has them, turned with directors."""
+
+    kind: ShapeKind
+    points: tuple[Point, ...]
+    axes: tuple[Point, ...]
+    size: tuple[float, ...]
+    label: str
+
+
 @dataclass
 class Parts:
     """The parts of a system in `dim` dimensions, in the order they were added; `Declaration` makes its equations of them."""
@@ -188,6 +199,7 @@ class Parts:
     #: name, the particle it acts on, the one it reacts on
     ports: list[tuple[str, Particle, Particle | None]] = field(default_factory=list)
     gravity: tuple[float, ...] | None = None
+    solids: list[Solid] = field(default_factory=list)
 
     def rows(self, particle: Particle) -> slice:
         """The rows of a particle in the stacked positions."""

@@ -107,6 +107,7 @@ def _add_outputs(parser: argparse.ArgumentParser) -> None:
                         help="tell each energy and each resistor by itself too (phfmu audit FILE --by term); one composed "
                              "model only")  # fmt: skip
     parser.add_argument("--plot", metavar="FILE", help="picture of the run, X.png or X.html (see: phfmu plot)")
+    parser.add_argument("--view", metavar="FILE", help="the motion of a mechanism, X.html or X.gif (see: phfmu view)")
     parser.add_argument(
         "--audit-rtol", type=float, default=1e-11, help="allowed residual of a step relative to the energies in play"
     )
@@ -146,7 +147,7 @@ def call(args: argparse.Namespace) -> int:
 
         held = rows.events() if rows is not None and args.interpolate == "held" else ()
         marks = (e for e in chain(events, held) if e.t < chosen.stop)
-        outputs.begin({"target": args.target, "run": label + job.kernels.words})
+        outputs.begin({"target": args.target, "run": label + job.kernels.words}, scene.shapes)
         columns = partial(outputs.columns, chosen, marks)
         record = accuracy.recorded(args, chosen.step)
         options_here = replace(
@@ -252,6 +253,8 @@ def _print_run(args: argparse.Namespace, label: str, result: Result, chosen: Opt
         print(f"results: {args.output}")
     if args.plot:
         print(f"picture: {args.plot}")
+    if args.view:
+        print(f"motion: {args.view}")
     from phfmu.cli.options import audit_file
 
     if audit := audit_file(args):

@@ -1,0 +1,133 @@
+"""The shapes of a multibody system: its particles, bars, springs, supports and solids, with z up against gravity."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Protocol
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from phfmu import Place, Shape, ShapeKind, Tension, Variable
+from phfmu.components.mechanical.multibody.parts import (
+    Combined,
+    DrivenPoint,
+    MovingSupport,
+    Particle,
+    Parts,
+    Point,
+    Solid,
+    Support,
+)
+
+Floats = NDArray[np.float64]
+
+
+class Built(Protocol):
+    """A declaration in the making: its parts, the positions `q` of its particles, the position of any point."""
+
+    parts: Parts
+    q: Variable
+
+    @property
+    def at(self) -> Callable[[Point], ca.SX]: ...
+
+
+def shapes(built: Built) -> tuple[Shape, ...]:
+    """Balls for the masses, rods for the bars, springs, pins for the supports that these end at, and the solids asked for.
+
+    Masses that gravity does not act on are directors of bodies, and no points of space; those that a solid stands for have no
+    ball.
+    """
+    parts, space = built.parts, _Space(built)
+    heaviest = max((m.mass for m in parts.masses), default=0.0)
+    bodies = {s.points[0] for s in parts.solids if isinstance(s.points[0], Particle)}
+    balls = (
+        Shape(
+            ShapeKind.BALL,
+            (space.place(Particle(i)),),
+            m.called or f"particle {i + 1}",
+            scale=float(np.cbrt(m.mass / heaviest)) if m.mass > 0.0 else 0.4,
+        )
+        for i, m in enumerate(parts.masses)
+        if m.weight and Particle(i) not in bodies
+    )
+    solids = (Shape(s.kind, tuple(map(space.place, s.points)), s.label, s.size, space.axes(s)) for s in parts.solids)
+    attached = [*(p for b in parts.bars for p in b.points), *(p for s in parts.springs for p in (s.a, s.b))]
+    ends = dict.fromkeys(p for p in attached if isinstance(p, Support))
+    pins = (Shape(ShapeKind.PIN, (space.place(p),), "support") for p in ends)
+    return (*balls, *solids, *_lines(parts, space), *pins)
+
+
+def _lines(parts: Parts, space: _Space) -> Iterator[Shape]:
+    """Bars with their tension, multiplier times length, and springs; not those of points that are led by a function of time."""
+    for i, bar in enumerate(parts.bars):
+        if not any(isinstance(p, MovingSupport) for p in bar.points):
+            ends = tuple(map(space.place, bar.points))
+            yield Shape(ShapeKind.ROD, ends, bar.label, tension=Tension(f"lambda[{i + 1}]", space.length(ends)))
+    for i, spring in enumerate(parts.springs):
+        yield Shape(ShapeKind.SPRING, (space.place(spring.a), space.place(spring.b)), f"spring {i + 1}")
+
+
+class _Space:
+    """Where the axes of a system point in the space of a picture: the plane of two dimensions stands upright."""
+
+    def __init__(self, built: Built):
+        self._built, self._dim, gravity = built, built.parts.dim, built.parts.gravity
+        into = np.eye(3)[:, [0, 2] if self._dim == 2 else list(range(self._dim))]
+        down = np.zeros(3) if gravity is None else into @ np.array(gravity)
+        self._map = _turned(-down) @ into
+        self._start = dict(zip(built.q.names(), built.q.start, strict=True))
+
+    def length(self, ends: tuple[Place, ...]) -> float:
+        """The distance of two places of particles and supports at the start, m."""
+        a, b = (np.array(p.offset) + sum(self._start.get(n, 0.0) * np.array(d) for n, d in p.terms) for p in ends)
+        return float(np.linalg.norm(b - a))
+
+    def axes(self, solid: Solid) -> tuple[Place, ...]:
+        """Its directors; in the plane, where two are given, the third is normal to it."""
+        found = tuple(map(self.place, solid.axes))
+        return (*found, Place(_vector(np.cross(self._map[:, 0], self._map[:, 1])))) if len(found) == 2 else found
+
+    def place(self, point: Point) -> Place:
+        """A point that no function of time leads."""
+        if isinstance(point, Support):
+            return Place(_vector(self._map @ np.array(point.position)))
+        if isinstance(point, Combined):
+            return self._combined(point)
+        first, name = 0, "q"
+        if isinstance(point, Particle):
+            first = point.number * self._dim
+        elif isinstance(point, DrivenPoint):
+            name = f"{point.name}.q"
+        names = [f"{name}[{first + i + 1}]" for i in range(self._dim)]
+        return Place(terms=tuple((s, _vector(self._map[:, i])) for i, s in enumerate(names)))
+
+    def _combined(self, point: Combined) -> Place:
+        """The linear form of a point, with the parameters of its weights at their starts."""
+        expr, q, names = self._built.at(point), self._built.q.sx, self._built.q.names()
+        known = [p for p in self._built.parts.parameters if ca.depends_on(expr, p.sx)]
+        starts = [ca.DM(list(p.start)) for p in known]
+        read = ca.Function("place", [q, *(p.sx for p in known)], [expr, ca.jacobian(expr, q)])
+        offset, slope = (np.array(v) for v in read(ca.DM.zeros(q.numel()), *starts))
+        moved = np.flatnonzero(np.abs(slope).max(axis=0, initial=0.0))
+        terms = tuple((names[j], _vector(self._map @ slope[:, j])) for j in moved)
+        return Place(_vector(self._map @ offset.ravel()), terms)
+
+
+def _turned(up: Floats) -> Floats:
+    """The rotation that takes `up` to the third axis by the shortest way; none for no direction."""
+    length = float(np.linalg.norm(up))
+    if length == 0.0:
+        return np.eye(3)
+    x, y, z = up / length
+    if z < -1.0 + 1e-12:
+        return np.diag([1.0, -1.0, -1.0])
+    across = np.array([[0.0, 0.0, -x], [0.0, 0.0, -y], [x, y, 0.0]])
+    return np.eye(3) + across + across @ across / (1.0 + z)
+
+
+def _vector(v: Floats) -> tuple[float, float, float]:
+    x, y, z = (float(c) for c in v)
+    return x, y, z
