@@ -1,4 +1,4 @@
-"""A page opened in Chromium without a window: `python browser.py PAGE PICTURE`; prints what it found as JSON.
+"""A page opened in Chromium without a window: `python browser.py PAGE PICTURE [FRAGMENT]`; prints what it found as JSON.
 
 A process of its own: Qt's loop and its crashes stay out of the tests.
 """
@@ -10,7 +10,7 @@ import os
 import sys
 
 os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
-os.environ.setdefault("QTWEBENGINE_CHROMIUM_FLAGS", "--no-sandbox --disable-gpu")
+os.environ.setdefault("QTWEBENGINE_CHROMIUM_FLAGS", "--no-sandbox --use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader")
 
 from PySide6.QtCore import QTimer, QUrl  # noqa: E402  (the platform comes first)
 from PySide6.QtWebEngineCore import QWebEnginePage, QWebEngineUrlRequestInterceptor  # noqa: E402
@@ -44,7 +44,7 @@ class Outside(QWebEngineUrlRequestInterceptor):
             info.block(True)  # type: ignore[attr-defined]
 
 
-def main(path: str, picture: str) -> int:
+def main(path: str, picture: str, fragment: str = "") -> int:
     app = QApplication(sys.argv[:1])
     view, outside = QWebEngineView(), Outside()
     page = Page(view)
@@ -73,7 +73,9 @@ def main(path: str, picture: str) -> int:
             QTimer.singleShot(100, lambda: loaded(True))
 
     view.loadFinished.connect(loaded)
-    view.load(QUrl.fromLocalFile(os.path.abspath(path)))
+    address = QUrl.fromLocalFile(os.path.abspath(path))
+    address.setFragment(fragment)
+    view.load(address)
     QTimer.singleShot(PATIENCE, lambda: app.exit(1))
     return app.exec()
 

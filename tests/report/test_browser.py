@@ -16,12 +16,12 @@ from phfmu.cli import main
 pytestmark = pytest.mark.slow
 
 
-def opened(page: Path) -> tuple[dict, Path]:
-    """What the browser found, and the picture it took."""
+def opened(page: Path, fragment: str = "") -> tuple[dict, Path]:
+    """What the browser found, and the picture it took, of a page and what comes after `#` in its address."""
     reason = 'no browser: pip install -e ".[browser]"'
     pytest.importorskip("PySide6.QtWebEngineWidgets", reason=reason, exc_type=ImportError)
     picture = page.with_suffix(".png")
-    call = [sys.executable, str(Path(__file__).with_name("browser.py")), str(page), str(picture)]
+    call = [sys.executable, str(Path(__file__).with_name("browser.py")), str(page), str(picture), fragment]
     done = subprocess.run(call, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr[-2000:]
     return json.loads(done.stdout.splitlines()[-1]), picture
@@ -60,3 +60,17 @@ def test_picture_of_a_run(compiler: None, tmp_path: Path, monkeypatch: pytest.Mo
     assert main(["run", "drive", "--plot", "drive.html", "--quiet"]) == 0
     found, _ = opened(tmp_path / "drive.html")
     assert found["complaints"] == [] and found["asked"] == [] and found["curves"] > 5
+
+
+def test_motion_of_a_run(compiler: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The page of a motion stands at the time that its address names; bodies stand elsewhere at another."""
+    monkeypatch.chdir(tmp_path)
+    assert main(["view", "heavy_top", "-o", "top.html"]) == 0
+    seen = []
+    for time in ("0.1", "0.6"):
+        found, picture = opened(tmp_path / "top.html", f"t={time}")
+        assert found["complaints"] == [] and found["asked"] == [], found
+        assert found["title"] == "heavy_top" and f"{time}0 s" in found["text"]
+        seen.append(colours(picture))
+    assert len(seen[0]) > 200, "hardly anything is drawn"
+    assert len(seen[0] ^ seen[1]) > 200, "nothing has moved"
