@@ -10,7 +10,9 @@ import os
 import sys
 
 os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
-os.environ.setdefault("QTWEBENGINE_CHROMIUM_FLAGS", "--no-sandbox --use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader")
+os.environ.setdefault(
+    "QTWEBENGINE_CHROMIUM_FLAGS", "--no-sandbox --use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader"
+)
 
 from PySide6.QtCore import QTimer, QUrl  # noqa: E402  (the platform comes first)
 from PySide6.QtWebEngineCore import QWebEnginePage, QWebEngineUrlRequestInterceptor  # noqa: E402

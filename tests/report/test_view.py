@@ -13,7 +13,7 @@ import pytest
 from phfmu import PHDAE, Place, Scene, Shape, ShapeKind, Tension
 from phfmu.cli import main
 from phfmu.components.mechanical.heavy_top import heavy_top
-from phfmu.components.mechanical.multibody import Multibody
+from phfmu.components.mechanical.multibody import Mechanism, Multibody
 from phfmu.declare.alike import first_alike
 from phfmu.declare.shape import from_data, to_data
 from phfmu.network.network import Network
@@ -159,6 +159,20 @@ def test_tension_that_the_table_lacks_is_no_colour() -> None:
     time = np.array([0.0, 1.0])
     assert np.isnan(motion("m", [rod], time, {}).tension).all()
     assert motion("m", [rod], time, {"lambda": np.array([1.0, -2.0])}).tension.ravel().tolist() == [2.0, -4.0]
+
+
+def test_bodies_are_boxes_of_their_inertia_that_turn() -> None:
+    made = Mechanism("two")
+    made.body("box", 2.0, (0.5, 0.4, 0.3), angular_velocity=(0.0, 0.0, 1.0))
+    made.rod("rod", 1.0, 0.6)
+    box, rod = made.build().shapes
+    a, b, c = sorted(x**2 for x in box.size)
+    np.testing.assert_allclose(2.0 / 12 * np.array([b + c, a + c, a + b]), (0.5, 0.4, 0.3), rtol=1e-12)
+    assert rod.kind is ShapeKind.ROD and len(rod.points) == 2 and len(box.axes) == 3
+    columns = {n: np.zeros(1) for n in dict.fromkeys([*box.signals(), *rod.signals()])}
+    directors = [n for n in rod.signals() if dict(rod.points[0].terms)[n] != dict(rod.points[1].terms)[n]]
+    moved = motion("m", [rod], np.zeros(1), columns | {directors[0]: np.array([0.6 / np.sqrt(12.0)])})
+    assert np.linalg.norm(moved.ends[0, 0, 3:] - moved.ends[0, 0, :3]) == pytest.approx(0.6)
 
 
 @pytest.mark.slow

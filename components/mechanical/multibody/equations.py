@@ -15,6 +15,7 @@ from phfmu.components.mechanical.multibody.body import Body, Spring
 from phfmu.components.mechanical.multibody.builder import Multibody
 from phfmu.components.mechanical.multibody.joint import Coordinate, Joint, Side, Symbols, coordinates
 from phfmu.components.mechanical.multibody.parts import Combined, Particle
+from phfmu.components.mechanical.multibody.solids import add_solid
 
 if TYPE_CHECKING:
     from phfmu.components.mechanical.multibody.declaration import Declaration
@@ -84,6 +85,7 @@ class Equations:
                 multiplier=(f"{body.name}.rigid", "N/m"),
                 kept=True,
             )
+        add_solid(self, body)
         if self.observe:
             self._observe_body(body)
 

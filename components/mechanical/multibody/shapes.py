@@ -42,7 +42,7 @@ def shapes(built: Built) -> tuple[Shape, ...]:
     """
     parts, space = built.parts, _Space(built)
     heaviest = max((m.mass for m in parts.masses), default=0.0)
-    bodies = {s.points[0] for s in parts.solids if isinstance(s.points[0], Particle)}
+    shown = {s.label for s in parts.solids}, {s.points[0] for s in parts.solids if isinstance(s.points[0], Particle)}
     balls = (
         Shape(
             ShapeKind.BALL,
@@ -51,7 +51,7 @@ def shapes(built: Built) -> tuple[Shape, ...]:
             scale=float(np.cbrt(m.mass / heaviest)) if m.mass > 0.0 else 0.4,
         )
         for i, m in enumerate(parts.masses)
-        if m.weight and Particle(i) not in bodies
+        if m.weight and m.called not in shown[0] and Particle(i) not in shown[1]
     )
     solids = (Shape(s.kind, tuple(map(space.place, s.points)), s.label, s.size, space.axes(s)) for s in parts.solids)
     attached = [*(p for b in parts.bars for p in b.points), *(p for s in parts.springs for p in (s.a, s.b))]
