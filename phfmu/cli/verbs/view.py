@@ -59,7 +59,8 @@ def _of_table(args: argparse.Namespace) -> int:
 
 def _of_run(args: argparse.Namespace) -> int:
     """The motion of a target that is run first, as `phfmu run --view` shows it."""
-    from phfmu.cli import main
+    from phfmu.cli.parser import Parser
+    from phfmu.cli.verbs import run
 
     if args.shapes:
         raise ValueError(f"--shapes is for the table of a run; {args.target} brings its own")
@@ -69,4 +70,7 @@ def _of_run(args: argparse.Namespace) -> int:
             words += [f"--{name}", str(value)]
     for setting in args.set:
         words += ["--set", setting]
-    return main(words)
+    parser = Parser(prog="phfmu")
+    run.add_parser(parser.add_subparsers(dest="verb"))
+    asked = parser.parse_args(words)
+    return asked.call(asked)
