@@ -124,13 +124,14 @@ def engine_of(engine: str) -> str:
 
 def instance_of(model: Any, engine: str, kernels: Any = "auto", steps: float = 0) -> Any:
     """A Python or native instance of a discretised model; `steps`: about as many as it will take."""
-    from phfmu.engine.switched import stepped
-
     if engine == "python":
+        from phfmu.engine.model import require_no_landing
         from phfmu.engine.reference.python import PythonInstance
 
-        return stepped(model, PythonInstance)
+        require_no_landing(model)
+        return PythonInstance(model)
     from phfmu.engine.native.native import NativeInstance
+    from phfmu.engine.switched import stepped
 
     return stepped(model, lambda m: NativeInstance(m, _announce, kernels, steps))
 

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from phfmu.engine.landing.event_step import require_no_events
 from phfmu.engine.model import Model, require_built, require_one_mode
 from phfmu.engine.record import Grid, recordable
 from phfmu.outcome.steps import Happened, Landed
 
 if TYPE_CHECKING:
     from phfmu.engine.impulses import Ports
-    from phfmu.engine.native.native_landing import NativeLanding
     from phfmu.engine.node_sensitivity import NodeSensitivity
     from phfmu.engine.rest_changes import RestChange
     from phfmu.terms.port_impulses import PortImpulse
@@ -50,7 +48,7 @@ class Signals(ABC):
 
 
 class Instance(Signals):
-    """A component a master can step: `PythonInstance` and `NativeInstance`, which give the same numbers.
+    """A component a master can step: `NativeInstance`, and `PythonInstance`, which lands on no events; the numbers are the same.
 
     Inputs u (nu) are held over a step, or given at its k quadrature nodes.  `output()` gives step-conjugate
     means, so that h u^T y is the supplied energy exactly.  Units SI, power into the component.
@@ -189,7 +187,11 @@ class Instance(Signals):
         pair energies; outputs at nodes and means are without them.  They stay until set; 0 is as if they had never been.  Steps
         of no length and slivers take none.  In compiled code a small library is made first.  ValueError names the ports.
         """
-        require_no_events(self.model)
+        if self.model.events is not None:
+            names = ", ".join(self.model.events.names[:4])
+            raise ValueError(
+                f"{self.model.name}: has state events ({names}), which do not go with impulses at its ports"
+            )
         self._take_impulses(self._ports.checked(s0, s1))
 
     @abstractmethod
@@ -258,7 +260,7 @@ class Instance(Signals):
         """Grid steps k = first..first+n-1 from t0 + k h, which end on the zeros of guards too, where state events happen.
 
         `record` as for `run`, a row for each step taken;  `changed`: parameters or states were set since the last step;
-        `pause`: end after the first event and those that follow it at the same time.
+        `pause`: end after the first event and those that follow it at the same time.  Refusal of the Python engine;
         StepFailure after what was accepted before: EventRefused for an event that cannot happen.
         """
         return self._land(Grid(t0, h, n, first, pause=pause), recordable(self.model.name, record), changed)
@@ -268,11 +270,6 @@ class Instance(Signals):
 
     def expect(self, steps: float) -> None:
         """So many steps will be taken that are not told one by one: a reason to get ready for them, or none."""
-
-    @property
-    @abstractmethod
-    def landing(self) -> tuple[NativeLanding, Callable[[int], None]] | None:
-        """Its landing in compiled code, and what raises the status of one; None: it lands in Python."""
 
     def _array(self, values: ArrayLike, *shape: int) -> Array:
         """Values of this shape; ValueError for others."""

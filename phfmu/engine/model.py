@@ -8,6 +8,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from phfmu.declare.error import Refusal
 from phfmu.declare.phdae import PHDAE
 from phfmu.events.event_plan import EventPlan
 from phfmu.plan.plan import Kernel, Plan
@@ -80,5 +81,23 @@ def require_one_mode(model: Model) -> None:
     """ValueError for a model with switches, of which an instance steps one mode only."""
     if getattr(model, "modes", None) is not None:  # models made by hand have none
         raise ValueError(
-            f"{model.name} has switches: SwitchedInstance(model, PythonInstance) steps it in all its modes"
+            f"{model.name} has switches: SwitchedInstance(model, NativeInstance) steps it in all its modes"
         )
+
+
+def require_no_landing(model: Model) -> None:
+    """Refusal of the Python engine for a model with state events or ideal switches, on which compiled code alone lands."""
+    modes = getattr(model, "modes", None)
+    if modes is not None:
+        what, names = "switches", [s.name for s in modes.modes.switches]
+    elif model.events is not None:
+        what, names = "state events", list(model.events.names)
+    else:
+        return
+    some = ", ".join(f"'{n}'" for n in names[:4]) + (", .." if len(names) > 4 else "")
+    raise Refusal(
+        model.name,
+        f"the Python engine takes steps of a fixed grid and lands on no {what} ({some})",
+        "take --engine native (NativeInstance), which lands on them; nothing is compiled for the model, as its kernels may "
+        "run interpreted",
+    )

@@ -11,14 +11,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from phfmu.discretise.model import Model
 from phfmu.engine.instance import Signals
-from phfmu.engine.landing.event_step import MERGED, MergedStep, merged
-from phfmu.engine.landing.landing import Change, landed
+from phfmu.engine.landing.landing import Change
 from phfmu.engine.landing.mode_change import decide
+from phfmu.engine.model import require_no_landing
 from phfmu.engine.record import Grid, recordable
+from phfmu.engine.reference.python import PythonInstance
 from phfmu.events.modes import Mode
 from phfmu.events.switch_system import At
 from phfmu.outcome.limits import is_sliver
-from phfmu.outcome.status import Status, StepFailure
+from phfmu.outcome.status import StepFailure
 from phfmu.outcome.steps import Happened, Landed
 from phfmu.terms.canonical import member
 
@@ -37,28 +38,29 @@ def stepped(model: Model, make: Callable[[Model], Any]) -> Any:
 class SwitchedInstance(Signals):
     """Steps a model with switches in its present mode and changes modes at events, where it `land`s.
 
-    `make`: `PythonInstance` or `NativeInstance`, of which it has one for each mode that came up so far.  Rows of signals are
+    `make`: makes a `NativeInstance`, of which it has one for each mode that came up so far.  Rows of signals are
     those of the model; the hidden constraints of a mode hold by what entering it does.
     """
 
     def __init__(self, model: Model, make: Callable[[Model], Any]):
         if model.modes is None:
             raise ValueError(f"{model.name} has no switches: make the instance itself")
+        if make is PythonInstance:
+            require_no_landing(model)
         self.model, self._models, self._make = model, model.modes, make
         self._mode = self._models.modes.start
         self._instances: dict[Mode, Any] = {self._mode: make(self._models[self._mode])}
         self._fresh = {self._mode: self.present.get_state()}
         self._asked = self._mode
         self.typical_step = 0.0  #: what it was prepared for
-        self._started, self._last, self._held = False, 0.0, True
-        self._merged: MergedStep | None = None
+        self._started, self._last = False, 0.0
         #: state events of the last `do_step`
         self.happened: tuple[Happened, ...] = ()
 
     @property
-    def kernels(self) -> str | None:
-        """How those of the present mode run; None: not in compiled code."""
-        return getattr(self.present, "kernels", None)
+    def kernels(self) -> str:
+        """How those of the present mode run: compiled or interpreted."""
+        return self.present.kernels
 
     @property
     def mode(self) -> Mode:
@@ -140,7 +142,7 @@ class SwitchedInstance(Signals):
         """Takes the modes that were set as they are: what they ask for was decided elsewhere, with the state."""
         p = self.parameters
         self._entered(self._asked).set_parameters(p)
-        self._mode, self._started, self._merged = self._asked, True, None
+        self._mode, self._started = self._asked, True
 
     def land(
         self, t0: float, h: float, n: int, record: Iterable[str] = (), first: int = 0, changed: bool = True, *,
@@ -148,36 +150,31 @@ class SwitchedInstance(Signals):
     ) -> Iterator[Landed]:  # fmt: skip
         """Grid steps that end on the zeros of guards too, where modes change; see `Instance.land`."""
         grid, names = Grid(t0, h, n, first, pause=pause), recordable(self.model.name, record)
-        if self.present.landing is not None:
-            return self.native.land(grid, names, changed)
-        return landed(self, grid, names, changed, self)
+        return self.native.land(grid, names, changed)
 
     def do_step(self, t: float, h: float, parts: int = 1) -> None:
         """One communication step in `parts` equal internal steps, h >= 0; modes change in it, and it is told as one.
 
         A sliver is skipped; inputs that are not held are refused.
         """
-        if not h >= 0 or (h > 0 and not self._held):
-            raise StepFailure(Status.ARGUMENT, self.model.name, t, h)
+        self.happened = ()
         if h > 0 and is_sliver(t, h, self._last):
             self.present.skip(t + h)
-            self._merged, self.happened = self._merged and self._merged.skipped(), ()
             return
-        before, self._merged, self.happened = self.get_state(), None, ()
         if h == 0:
             self.present.step_exactly(t, h)
             return
+        before = self.get_state()
         try:
-            found = merged(self.land(t, h / parts, parts, MERGED), t)
+            self.happened = self.native.step(t, h, parts)
         except StepFailure:
             self.restore(before)
             raise
-        self.happened, self._last = found.happened, h / parts
-        self._merged = found if found.parts > 1 or found.happened else None
+        self._last = h / parts
 
     def step_exactly(self, t: float, h: float) -> None:
         """A step in the present mode; no guard is looked at."""
-        self._merged, self.happened = None, ()
+        self.happened = ()
         self.present.step_exactly(t, h)
         self._last = h or self._last
 
@@ -222,16 +219,14 @@ class SwitchedInstance(Signals):
 
     def set_input(self, u: ArrayLike) -> None:
         self.present.set_input(u)
-        self._held = True
 
     def set_node_inputs(self, u: ArrayLike) -> None:
         """Values at the nodes of the next step (k x nu), for `step_exactly`; `do_step` takes held ones only."""
         self.present.set_node_inputs(u)
-        self._held = bool((np.asarray(u) == np.asarray(u)[:1]).all())
 
     def node_output(self) -> Array:
         """Outputs at the nodes of the last step (k x nu)."""
-        return self.present.node_output() if self._merged is None else np.tile(self.output(), (self.model.step.k, 1))
+        return self.present.node_output()
 
     def set_x(self, t: float, x: ArrayLike) -> None:
         """Place the state; the next landing finds the mode that it has."""
@@ -239,18 +234,12 @@ class SwitchedInstance(Signals):
         self._started = False
 
     def initialise(self) -> None:
-        self._merged = None
         self.present.initialise()
 
     def continue_from(self, other: SwitchedInstance) -> None:
         """Go on from another of the same declaration under another scheme, in its mode."""
-        self._asked, self._started, self.typical_step, self._merged = (
-            other._asked,
-            other._started,
-            other.typical_step,
-            None,
-        )
-        self._last, self._held = other._last, other._held
+        self._asked, self._started, self.typical_step = other._asked, other._started, other.typical_step
+        self._last = other._last
         if self._mode != other._mode:
             self._mode = other._mode
             self.present.restore(self._fresh[self._mode])
@@ -259,20 +248,18 @@ class SwitchedInstance(Signals):
     def reset(self) -> None:
         """Back to the start values and modes."""
         self._mode = self._asked = self._models.modes.start
-        self._started, self._merged, self._last, self._held = False, None, 0.0, True
+        self._started, self._last = False, 0.0
         self.present.reset()
 
     def ledger(self) -> dict[str, Array]:
-        return self.present.ledger() if self._merged is None else dict(self._merged.rows)
+        return self.present.ledger()
 
     def output(self) -> Array:
         """Step-conjugate means of the external pairs (nu)."""
-        return self.signal("y_step")[: self.model.step.nu].copy()
+        return self.present.output()
 
     def sensitivity(self) -> Array:
         """d(mean external outputs)/d(held inputs) of the last step; StepFailure NO_SENSITIVITY if something happened in it."""
-        if self._merged is not None:
-            raise StepFailure(Status.NO_SENSITIVITY, self.model.name, self.time, 0.0)
         return self.present.sensitivity()
 
     def node_sensitivity(self, inputs: Sequence[int] | None, impulses: bool, end: bool) -> NodeSensitivity:
@@ -286,23 +273,20 @@ class SwitchedInstance(Signals):
         return self._shown(block, self.present.signal(block))
 
     def _shown(self, block: str, found: Array) -> Array:
-        """A block without what only the mode has; means are those of the step as it is told."""
-        means = {} if self._merged is None else self._merged.means
-        if block in means and not (block == "a" and self.model.step.carries):
-            return means[block].copy()
+        """A block without what only the mode has."""
         return found[: len(self.model.observable_names)] if block == "observables" else found
 
     def get_state(self) -> Any:
         """A complete copy, modes included."""
-        own = self._mode, self._asked, self._started, self._merged, self._last, self._held
+        own = self._mode, self._asked, self._started, self._last
         return own, self.present.get_state()
 
     def set_state(self, state: Any) -> None:
         """Restores what `get_state` gave; stepping on gives the same bits, over changes of modes too."""
-        (self._mode, self._asked, self._started, self._merged, self._last, self._held), inner = state
+        (self._mode, self._asked, self._started, self._last), inner = state
         self.present.set_state(inner)
 
     def restore(self, state: Any) -> None:
         """`set_state`; the counts of what the solver did go on."""
-        (self._mode, self._asked, self._started, self._merged, self._last, self._held), inner = state
+        (self._mode, self._asked, self._started, self._last), inner = state
         self.present.restore(inner)

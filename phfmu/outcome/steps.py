@@ -145,9 +145,3 @@ class Landed:
     h: Array
     rows: dict[str, Array]
     happened: Happened | None
-
-    @classmethod
-    def of(cls, steps: list[tuple[float, float, dict[str, Array]]], happened: Happened | None = None) -> Landed:
-        names = steps[0][2] if steps else {}
-        rows = {name: np.array([row[name] for _, _, row in steps]) for name in names}
-        return cls(np.array([t for t, _, _ in steps]), np.array([h for _, h, _ in steps]), rows, happened)

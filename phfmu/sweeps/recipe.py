@@ -70,7 +70,10 @@ class Recipe:
         task = task or self.task()
         if self.engine == "native" and fits(task) and self.keep is None:
             return NativeRuns(task)
+        from phfmu.engine.model import require_no_landing
         from phfmu.engine.native.native import NativeInstance
         from phfmu.engine.reference.python import PythonInstance
 
+        if self.engine != "native":
+            require_no_landing(task.model)
         return GeneralRuns(task, NativeInstance if self.engine == "native" else PythonInstance, self.keep)

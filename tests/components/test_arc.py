@@ -16,7 +16,6 @@ from phfmu import (
     NativeInstance,
     Network,
     Options,
-    PythonInstance,
     build_model,
     check,
     run,
@@ -25,8 +24,7 @@ from phfmu.components.electrical.breaker import breaker
 from phfmu.components.electrical.infinite_bus import infinite_bus
 from phfmu.components.electrical.resistor import resistor
 from phfmu.runs.result import Result
-from tests.engines import ENGINES
-from tests.wide import slow, wide
+from tests.wide import slow
 
 V, W, PHI, R, L, LOAD, ARC, HOLDS = 325.0, 2 * pi * 50, 0.3, 0.5, 0.01, 3.0, 40.0, 300.0
 OPEN, BETTER, STOP = 0.02, 0.045, 0.06
@@ -46,10 +44,10 @@ def model(k: int):
     return build_model(net.compose(), Collocated(k))
 
 
-def arced(engine, k: int, h: float) -> Result:
+def arced(k: int, h: float) -> Result:
     events = (Event(OPEN, "line.command", 0.0), Event(BETTER, "line.V_withstand", 400.0))
     m = model(k)
-    return run(Monolithic(m, engine(m)), Options(stop=STOP, step=h, events=events))
+    return run(Monolithic(m, NativeInstance(m)), Options(stop=STOP, step=h, events=events))
 
 
 def pole(alpha: float) -> tuple[list[float], float]:
@@ -89,10 +87,9 @@ def pole(alpha: float) -> tuple[list[float], float]:
         times.append(t)
 
 
-@pytest.mark.parametrize("engine", wide(ENGINES, NativeInstance))
 @pytest.mark.parametrize(("k", "h", "late"), [slow((2, 5e-4, 1e-8)), (3, 5e-4, 1e-11)])
-def test_arcs_strike_go_out_and_reignite(engine, k, h, late):
-    result = arced(engine, k, h)
+def test_arcs_strike_go_out_and_reignite(k, h, late):
+    result = arced(k, h)
     assert result.ledger.summary().closed
     truth = [pole(alpha) for alpha in ALPHA]
     for j, (times, _) in enumerate(truth):
@@ -105,13 +102,12 @@ def test_arcs_strike_go_out_and_reignite(engine, k, h, late):
     )
 
 
-@pytest.mark.parametrize("engine", [NativeInstance, pytest.param(PythonInstance, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(("k", "steps"), [slow((1, (2.5e-4, 6.25e-5))), (2, (2.5e-4, 6.25e-5)), (3, (1e-3, 2.5e-4))])
-def test_events_of_arcs_are_of_order_2k(engine, k, steps):
+def test_events_of_arcs_are_of_order_2k(k, steps):
     times = sorted(t for alpha in ALPHA for t in pole(alpha)[0])
     errors = []
     for h in steps:
-        result = arced(engine, k, h)
+        result = arced(k, h)
         found = [t for j in (1, 2, 3) for t in result.time[1:][np.diff(result.column(f"line.closed[{j}]")) != 0]]
         errors.append(np.linalg.norm(np.sort(found) - times))
     assert np.log2(errors[0] / errors[1]) / 2 == pytest.approx(2 * k, abs=0.2)

@@ -19,7 +19,6 @@ from phfmu import (
     NativeInstance,
     Network,
     Options,
-    PythonInstance,
     build_model,
     default_scheme,
     driven,
@@ -46,11 +45,9 @@ def polynomial(*factors: Any) -> Any:
     return out
 
 
-def ran(
-    model: PHDAE, order: int, stop: float, h: float, events: tuple[Event, ...], instance: Any = NativeInstance
-) -> Any:
+def ran(model: PHDAE, order: int, stop: float, h: float, events: tuple[Event, ...]) -> Any:
     m = build_model(model, default_scheme(model, order))
-    return run(Monolithic(m, instance(m)), Options(stop=stop, step=h, events=events))
+    return run(Monolithic(m, NativeInstance(m)), Options(stop=stop, step=h, events=events))
 
 
 #: name -> model without limits in reach, input, height of the step, output, numerator, denominator
@@ -123,10 +120,9 @@ def limited_lag(lo: float, hi: float) -> PHDAE:
 
 
 @pytest.mark.parametrize("order", [2, 4, 6])
-@pytest.mark.parametrize("instance", [NativeInstance, PythonInstance])
-def test_a_limit_is_met_exactly_and_left_when_the_rate_turns(order, instance):
+def test_a_limit_is_met_exactly_and_left_when_the_rate_turns(order):
     """u = 2 to t = 0.5, then 0: x = 2 (1 - exp(-t/T)) to 1 at T ln 2, 1 until 0.5, then exp(-(t - 0.5)/T)."""
-    found = ran(limited_lag(-1.0, 1.0), order, 1.0, 0.01, (Event(0.0, "u", 2.0), Event(0.5, "u", 0.0)), instance)
+    found = ran(limited_lag(-1.0, 1.0), order, 1.0, 0.01, (Event(0.0, "u", 2.0), Event(0.5, "u", 0.0)))
     t, x = found.time, found.column("x")
     exact = np.where(
         t < 0.2 * np.log(2.0), 2.0 * (1.0 - np.exp(-t / 0.2)), np.where(t <= 0.5, 1.0, np.exp(-(t - 0.5) / 0.2))

@@ -31,16 +31,15 @@ from phfmu.components.electrical.sources import voltage_source
 from phfmu.components.electrical.switches import ideal_switch
 from phfmu.components.library import SWITCHED, build
 from phfmu.components.scenes.buck import buck
-from tests.engines import ENGINES
-from tests.wide import slow, wide
+from tests.wide import slow
 
 RS, LS, RL, LL, E, W = 0.05, 2e-3, 5.0, 20e-3, 100.0, 2 * pi * 50
 
 
-def simulated(scene, k: int, step: float, engine=NativeInstance, stop: float | None = None, model=None):
+def simulated(scene, k: int, step: float, stop: float | None = None, model=None):
     model = model or build_model(scene.declaration(), Collocated(k))
     options = Options(stop=scene.stop if stop is None else stop, step=step, events=scene.events)
-    return run(Monolithic(model, SwitchedInstance(model, engine)), options)
+    return run(Monolithic(model, SwitchedInstance(model, NativeInstance)), options)
 
 
 def switchings(result, name: str, n: int) -> list[float]:
@@ -113,16 +112,14 @@ def three_phase():
     return ThreePhase().until(0.02)
 
 
-@pytest.mark.parametrize(
-    ("engine", "k", "n", "time_error"), [(NativeInstance, 2, 160, 2e-8), slow((NativeInstance, 3, 160, 2e-10))]
-)
-def test_a_six_pulse_bridge_equals_an_integration_by_hand(three_phase, engine, k, n, time_error):
+@pytest.mark.parametrize(("k", "n", "time_error"), [(2, 160, 2e-8), slow((3, 160, 2e-10))])
+def test_a_six_pulse_bridge_equals_an_integration_by_hand(three_phase, k, n, time_error):
     """From rest: the first diodes come from the laws at the start, 11 events, overlap of three diodes."""
     times, y = three_phase
     scene = build("six_pulse")
     model, errors = build_model(scene.declaration(), Collocated(k)), []
     for steps in (n // 2, n):
-        result = simulated(scene, k, scene.stop / steps, engine, model=model)
+        result = simulated(scene, k, scene.stop / steps, model=model)
         assert result.ledger.summary().closed
         found = switchings(result, "bridge.conducts", 6)
         assert found[0] == 0.0 and len(found) == 1 + len(times) == 12
@@ -168,12 +165,11 @@ def buck_by_hand(duty: float, R: float, f: float, periods: int) -> tuple[np.ndar
     return x, stops
 
 
-@pytest.mark.parametrize("engine", wide(ENGINES, NativeInstance))
 @pytest.mark.parametrize(("R", "periods"), [(4.0, 6), (400.0, 6)])
-def test_a_buck_converter_equals_its_piecewise_solution(engine, R, periods):
+def test_a_buck_converter_equals_its_piecewise_solution(R, periods):
     """Continuous and discontinuous conduction."""
     scene = buck(0.4, R=R, later=None)
-    result = simulated(scene, 3, 5e-6, engine, stop=periods / 20e3)
+    result = simulated(scene, 3, 5e-6, stop=periods / 20e3)
     x, stops = buck_by_hand(0.4, R, 20e3, periods)
     assert result.column("coil.current")[-1] == pytest.approx(x[0], abs=1e-10)
     assert result.column("load.voltage")[-1] == pytest.approx(x[1], abs=1e-10)
@@ -182,14 +178,13 @@ def test_a_buck_converter_equals_its_piecewise_solution(engine, R, periods):
     assert gone == pytest.approx(stops, abs=1e-12) and (stops or R < 100)
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-def test_a_diode_with_much_current_stops_where_the_chopper_begins(engine):
+def test_a_diode_with_much_current_stops_where_the_chopper_begins():
     """Both in a ring with the sources contradict each other, however large the coil's current that they could share."""
     scene, f, when = buck(0.4, later=None), 20e3, 6e-5
     model = build_model(scene.declaration(), Collocated(3))
     events = (Event(when, "chopper.duty", 0.6),)
     options = Options(stop=4 / f, step=5e-6, events=events)
-    result = run(Monolithic(model, SwitchedInstance(model, engine)), options)
+    result = run(Monolithic(model, SwitchedInstance(model, NativeInstance)), options)
     x = np.zeros(2)
     for duty in (0.4, 0.6, 0.6, 0.6):
         x = filter_step(filter_step(x, 24.0, 4.0, duty / f), -0.1, 4.0, (1 - duty) / f)
@@ -200,8 +195,7 @@ def test_a_diode_with_much_current_stops_where_the_chopper_begins(engine):
     assert (on.sum(axis=1)[1:] == 1).all()
 
 
-@pytest.mark.parametrize("engine", wide(ENGINES, NativeInstance))
-def test_a_switch_between_sources_that_differ_is_not_closed(engine):
+def test_a_switch_between_sources_that_differ_is_not_closed():
     """24 V on one side, 23 V on the other: no mode, and one line says at which switch."""
     net = Network("short")
     for side, volts in (("a", 24.0), ("b", 23.0)):
@@ -212,7 +206,7 @@ def test_a_switch_between_sources_that_differ_is_not_closed(engine):
     model = build_model(net.compose(), Collocated(2))
     events = (Event(0.5, "switch.conducts", 1.0),)
     with pytest.raises(StepFailure, match=r"after 'switch.switch' no mode of the switches obeys their laws"):
-        run(Monolithic(model, SwitchedInstance(model, engine)), Options(stop=1.0, step=0.1, events=events))
+        run(Monolithic(model, SwitchedInstance(model, NativeInstance)), Options(stop=1.0, step=0.1, events=events))
 
 
 def test_a_duty_signal_sets_the_mean_voltage():
@@ -230,9 +224,8 @@ def test_a_duty_signal_sets_the_mean_voltage():
     assert result.ledger.summary().closed
 
 
-@pytest.mark.parametrize("engine", wide(ENGINES, NativeInstance))
 @pytest.mark.parametrize(("k", "n", "error"), [slow((1, 80, 1e-4)), slow((2, 80, 1e-9)), (3, 40, 1e-12)])
-def test_a_bead_leaves_its_cylinder(engine, k, n, error):
+def test_a_bead_leaves_its_cylinder(k, n, error):
     """At the height r (2/3 + v^2/(3 g r)), of the order of the steps; the radius stays, the energy too."""
     scene = build("bead")
     model = build_model(scene.declaration(), Collocated(k))
@@ -241,7 +234,7 @@ def test_a_bead_leaves_its_cylinder(engine, k, n, error):
     leaves = 2 / 0.5 * ellipkinc(acos(height) / 2, -4 * 9.81 / 0.5**2)
     errors = []
     for steps in (n // 2, n):
-        instance = SwitchedInstance(model, engine)
+        instance = SwitchedInstance(model, NativeInstance)
         before = instance.signal("H").sum()
         parts = list(instance.land(0.0, scene.stop / steps, steps, record=("x",)))
         (happened,) = (p.happened for p in parts if p.happened)
@@ -266,11 +259,10 @@ def test_info_tells_the_switches(capsys):
     assert f"  {'bridge.pair1':<28} {told}" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-def test_a_saved_state_has_its_mode(engine):
+def test_a_saved_state_has_its_mode():
     """A state brings its mode back: the same bits follow."""
     scene = build("rectifier")
-    instance = SwitchedInstance(build_model(scene.declaration(), Collocated(2)), engine)
+    instance = SwitchedInstance(build_model(scene.declaration(), Collocated(2)), NativeInstance)
     list(instance.land(0.0, 1e-3, 3))
     kept, mode = instance.get_state(), instance.mode
     list(instance.land(0.0, 1e-3, 3, first=3, changed=False))
@@ -282,6 +274,6 @@ def test_a_saved_state_has_its_mode(engine):
 
 
 def test_a_rectifier_runs_from_the_command_line(capsys):
-    assert main(["run", "rectifier", "--engine", "python", "--stop", "0.004"]) == 0
+    assert main(["run", "rectifier", "--stop", "0.004"]) == 0
     said = capsys.readouterr()
     assert "bridge.pair2.opens, bridge.pair2 off" in said.out + said.err

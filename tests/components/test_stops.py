@@ -18,7 +18,6 @@ from phfmu import (
     NativeInstance,
     Network,
     Options,
-    PythonInstance,
     build_model,
     check,
     run,
@@ -29,11 +28,8 @@ from phfmu.components.library import build
 from phfmu.components.mechanical.contacts import bumper, end_stop, impact_pair
 from phfmu.components.mechanical.translational import mass, spring
 from phfmu.engine.switched import stepped
-from tests.engines import ENGINES
 from tests.wide import wide
 
-EITHER = wide(ENGINES, PythonInstance)
-COMPILED = wide([NativeInstance, PythonInstance], NativeInstance)  # many steps
 W = 10.0  # rad/s, sqrt(200 N/m / 2 kg)
 
 
@@ -42,11 +38,11 @@ def model(name: str, k: int):
     return build_model(build(name).declaration(), Collocated(k))
 
 
-def simulated(name: str, engine, k: int = 3, step: float | None = None):
+def simulated(name: str, k: int = 3, step: float | None = None):
     scene = build(name)
     made = model(name, k)
     options = Options(stop=scene.stop, step=step or scene.step, events=scene.events)
-    result = run(Monolithic(made, stepped(made, engine)), options)
+    result = run(Monolithic(made, stepped(made, NativeInstance)), options)
     assert result.ledger.summary().closed
     return result
 
@@ -89,10 +85,9 @@ def _before_back(v: float) -> float:
     return 2 * (pi / 2 - asin(0.05 / sqrt(0.05**2 + (v / W) ** 2))) / W * 1.5
 
 
-@pytest.mark.parametrize("engine", COMPILED)
-def test_a_bumper_bounces_rests_and_lets_go(engine):
+def test_a_bumper_bounces_rests_and_lets_go():
     """Each impact loses (1 - e^2) m v^2/2, all of them what the body had; it leaves where the spring's force is zero."""
-    result = simulated("buffer", engine)
+    result = simulated("buffer")
     assert told(result, "hits")[:5] == pytest.approx(impacts(5), abs=1e-9)
     speed = W * sqrt(0.15**2 - 0.05**2)
     first = next(n for n in result.notes if "hits" in n)
@@ -109,7 +104,7 @@ def test_a_bumper_bounces_rests_and_lets_go(engine):
 
 def test_a_bumper_under_a_held_force_rests_until_it_changes():
     """Alone, in parts of a step: falls under -2 N, rests, and goes with 2 N from when that is set."""
-    instance = PythonInstance(build_model(bumper(2.0, e=0.0, gap=0.5), Collocated(1)))
+    instance = NativeInstance(build_model(bumper(2.0, e=0.0, gap=0.5), Collocated(1)))
     instance.set_input([-2.0])
     for i in range(12):
         instance.do_step(0.1 * i, 0.1)
@@ -120,11 +115,10 @@ def test_a_bumper_under_a_held_force_rests_until_it_changes():
     assert instance.x == pytest.approx([0.5, 1.0], abs=1e-12)
 
 
-@pytest.mark.parametrize("engine", EITHER)
-def test_two_bodies_hit_each_other_go_on_as_one_and_part(engine):
+def test_two_bodies_hit_each_other_go_on_as_one_and_part():
     """2 kg pushed with 6 N against 1 kg: impacts of the relative motion, all its energy lost; N = 2 N until the force turns."""
     m_a, m_b, e, gap, force = 2.0, 1.0, 0.4, 0.3, 6.0
-    instance = engine(build_model(impact_pair(m_a, m_b, e=e, gap=gap, v_a=1.0, v_b=1.0), Collocated(1)))
+    instance = NativeInstance(build_model(impact_pair(m_a, m_b, e=e, gap=gap, v_a=1.0, v_b=1.0), Collocated(1)))
     reduced = m_a * m_b / (m_a + m_b)
     pull, first = force / m_a, (2 * gap / (force / m_a)) ** 0.5  # their relative motion is that of a ball on a floor
     rest = first * (1 + e) / (1 - e)
@@ -146,10 +140,9 @@ def test_two_bodies_hit_each_other_go_on_as_one_and_part(engine):
     assert instance.x == pytest.approx([0.5 * 3.0 * 0.04, v - 0.3, v + 0.3], abs=1e-12)
 
 
-@pytest.mark.parametrize("engine", COMPILED)
-def test_an_end_stop_pushes_and_lets_go(engine):
+def test_an_end_stop_pushes_and_lets_go():
     """Impact, motion of both on the spring until it is at rest, then each for itself."""
-    result = simulated("hard_stop", engine)
+    result = simulated("hard_stop")
     exact = hard_stop()
     assert told(result, "closes") == pytest.approx([exact["hit"]], abs=1e-9)
     assert told(result, "opens") == pytest.approx([exact["apart"]], abs=1e-9)
@@ -168,7 +161,7 @@ def test_a_fixed_stop_holds_a_body_and_its_ledger_is_closed():
     net.add("stop", end_stop(0.1, nominal=0.1, f=10.0))
     net.junction("joint", ["body.flange", "spring.b", "stop.b"])
     made = build_model(net.compose(), Collocated(1))
-    result = run(Monolithic(made, stepped(made, PythonInstance)), Options(stop=0.2, step=0.01))
+    result = run(Monolithic(made, stepped(made, NativeInstance)), Options(stop=0.2, step=0.01))
     assert result.ledger.summary().closed
     assert lost(result) == pytest.approx(2.0, rel=1e-12) and result.column("stop.F")[-1] == pytest.approx(
         10.0, rel=1e-12
@@ -180,7 +173,7 @@ def test_the_scenes_are_of_order_2k(k):
     """Through impact and release; when the wagon is let go, and how far it has come."""
     exact, h, errors = hard_stop(), 0.02, []
     for step in (h, h / 2):
-        result = simulated("hard_stop", NativeInstance, k, step)
+        result = simulated("hard_stop", k, step)
         errors.append(
             (abs(told(result, "opens")[0] - exact["apart"]), abs(result.column("stop.gap")[-1] - exact["gap"]))
         )
@@ -188,9 +181,8 @@ def test_the_scenes_are_of_order_2k(k):
     assert slopes[1] == pytest.approx(2 * k, abs=0.2) and (k == 3 or slopes[0] == pytest.approx(2 * k, abs=0.2))
 
 
-@pytest.mark.parametrize("engine", EITHER)
-def test_a_clutch_loses_its_formula_and_keeps_the_momentum(engine):
-    result = simulated("clutch_engagement", engine)
+def test_a_clutch_loses_its_formula_and_keeps_the_momentum():
+    result = simulated("clutch_engagement")
     J1, J2, slip = 2.0, 0.7, 40 * exp(-0.1 / 2.0)
     assert lost(result) == pytest.approx(J1 * J2 / (2 * (J1 + J2)) * slip**2, rel=1e-12)
     joined = J1 * slip / (J1 + J2)
@@ -204,9 +196,8 @@ def test_a_clutch_loses_its_formula_and_keeps_the_momentum(engine):
     assert phi[at + 1] == phi[at]  # a jump turns nothing
 
 
-@pytest.mark.parametrize("engine", COMPILED)
-def test_a_relay_switches_at_its_marks(engine):
-    result = simulated("two_point_control", engine)
+def test_a_relay_switches_at_its_marks():
+    result = simulated("two_point_control")
     wanted, last = two_points(6)
     assert told(result, "relay.turns") == pytest.approx(wanted, abs=1e-11)
     assert result.column("rotor.w")[-1] == pytest.approx(last, rel=1e-10)
@@ -236,6 +227,6 @@ def test_a_bumper_is_pulled_off_by_an_event():
     """A force at its free flange, -1 N and from 2 s on 1 N."""
     made = build_model(bumper(1.0, e=0.0, gap=0.5).with_starts({"flange.force": -1.0}), Collocated(2))
     result = run(
-        Monolithic(made, PythonInstance(made)), Options(stop=3.0, step=0.25, events=(Event(2.0, "flange.force", 1.0),))
+        Monolithic(made, NativeInstance(made)), Options(stop=3.0, step=0.25, events=(Event(2.0, "flange.force", 1.0),))
     )
     assert result.column("q")[-1] == pytest.approx(0.5, abs=1e-12) and result.ledger.summary().closed

@@ -7,6 +7,7 @@ import pytest
 
 from phfmu import NativeInstance, PythonInstance, Scene
 from phfmu.components.library import LIBRARY, SWITCHED, build
+from phfmu.engine.record import recorded
 from tests.engine.library_models import ERRORS, FORMS, declaration, plan, start
 from tests.engines import ENGINES
 from tests.wide import wide
@@ -77,12 +78,25 @@ def relative(one, two, names, least=0.0):
 RECORD = ("signals", "stored", "dissipated", "supplied", "pairs", "energy")
 
 
+def taken(instance, h, n, u):
+    """Rows of n steps; of a model with state events those that look at no guard, which is all the Python engine takes of it."""
+    model, rows = instance.model, []
+    if model.events is None:
+        return instance.run(model.t0, h, n, RECORD, inputs=u)
+    for i in range(n):
+        before = instance.counts
+        instance.set_input(u[i])
+        instance.step_exactly(model.t0 + i * h, h)
+        rows.append(recorded(instance, before, RECORD))
+    return {name: np.array([row[name] for row in rows]) for name in RECORD}
+
+
 def compare(name, k, n):
     model, h = plan(name, k), step_size(name)
     u = tones(model, h, n)
     python, native = (start(e(model)) for e in ENGINES)
     assert (python.x == native.x).all()
-    one, two = (i.run(model.t0, h, n, RECORD, inputs=u) for i in (python, native))
+    one, two = (taken(i, h, n, u) for i in (python, native))
     assert python.layout == native.layout
     traded = np.max(np.abs(one["signals"][:, python.layout["energy"]]), initial=0.0)
     for block, columns in named(model).items():
@@ -97,9 +111,8 @@ def compare(name, k, n):
         gap = np.abs(rows["stored"] + rows["dissipated"] - rows["supplied"])
         play = sum(np.abs(rows[r]) for r in ("energy", "stored", "dissipated", "supplied"))
         play = play + np.sum(np.abs(rows["pairs"]), axis=1, keepdims=True)
-        # J; H of a falling chain is a small difference of two such energies; the last bounces of a ball trade less than the
-        # roundings of the height it fell from
-        least = {"chain": 500.0, "bouncing_ball": 9.81}.get(name, 1e-300)
+        # J; H of a falling chain is a small difference of two such energies
+        least = {"chain": 500.0}.get(name, 1e-300)
         play = np.maximum(play, least)
         assert np.max(gap / play) <= 1e-12
     used = np.max(np.abs(one["pairs"]), axis=0, initial=0.0)[: model.step.nu]
@@ -129,6 +142,8 @@ def test_engines_agree_over_many_steps(name, k):
     """A thousand at order two; of higher ones, which cost several times as much, a quarter of them."""
     if k > 1 and declaration(name).closed or k == 2 and declaration(name).constraints:
         pytest.skip("this order does not exist for this model")
+    if plan(name, k).events is not None:
+        pytest.skip("state events end its steps long before, on which only compiled code lands")
     compare(name, k, min(CHAOTIC.get(name, 1000), 1000 if k == 1 else 250))
 
 

@@ -12,6 +12,7 @@ from phfmu import (
     PHDAE,
     Guard,
     Jump,
+    NativeInstance,
     PythonInstance,
     StateEvent,
     StepFailure,
@@ -23,7 +24,6 @@ from phfmu import (
 )
 from phfmu.components.electrical.rectifiers import rectifier_bridge
 from phfmu.engine.record import RECORD
-from tests.engines import ENGINES
 
 
 @cache
@@ -38,8 +38,9 @@ def model(events: bool) -> Any:
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("events", [False, True])
-@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize(
+    ("engine", "events"), [(PythonInstance, False), (NativeInstance, False), (NativeInstance, True)]
+)
 def test_names_that_cannot_be_recorded_are_told_with_those_that_can(engine: Any, events: bool) -> None:
     instance = engine(model(events))
     for take in (instance.run, instance.land)[: 1 + events]:
@@ -51,13 +52,14 @@ def test_names_that_cannot_be_recorded_are_told_with_those_that_can(engine: Any,
 
 
 def test_a_model_with_switches_tells_it_too() -> None:
-    instance = SwitchedInstance(build_model(rectifier_bridge()), PythonInstance)
+    instance = SwitchedInstance(build_model(rectifier_bridge()), NativeInstance)
     with pytest.raises(ValueError, match="no record 'H'"):
         list(instance.land(0.0, 1e-5, 1, ("H",)))
 
 
-@pytest.mark.parametrize("events", [False, True])
-@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize(
+    ("engine", "events"), [(PythonInstance, False), (NativeInstance, False), (NativeInstance, True)]
+)
 def test_rows_are_the_blocks_one_after_the_other(engine: Any, events: bool) -> None:
     instance = engine(model(events))
     rows = instance.run(0.0, 0.01, 20, RECORD)

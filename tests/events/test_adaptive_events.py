@@ -1,4 +1,4 @@
-"""State events in steps that keep a tolerance: the same zeros, fewer steps, a closed ledger; both engines alike."""
+"""State events in steps that keep a tolerance: the same zeros, fewer steps, a closed ledger."""
 
 from __future__ import annotations
 
@@ -8,11 +8,10 @@ from math import sqrt
 import numpy as np
 import pytest
 
-from phfmu import Collocated, Monolithic, NativeInstance, Options, PythonInstance, build_model, run
+from phfmu import Collocated, Monolithic, NativeInstance, Options, build_model, run
 from phfmu.cli import main
 from phfmu.components.library import build
 from phfmu.runs.result import Result
-from tests.engines import ENGINES
 from tests.events.scenes import WALL_STOP, exact, wall
 
 
@@ -21,16 +20,15 @@ def model():
     return build_model(wall(), Collocated(2))
 
 
-def hit(engine, rtol: float) -> Result:
-    return run(Monolithic(model(), engine(model())), Options(stop=WALL_STOP, step=0.05, rtol=rtol))
+def hit(rtol: float) -> Result:
+    return run(Monolithic(model(), NativeInstance(model())), Options(stop=WALL_STOP, step=0.05, rtol=rtol))
 
 
-@pytest.mark.parametrize("engine", [NativeInstance, pytest.param(PythonInstance, marks=pytest.mark.slow)])
-def test_the_error_of_event_times_follows_the_tolerance(engine):
+def test_the_error_of_event_times_follows_the_tolerance():
     times, q, p = exact()
     errors, steps = [], []
     for rtol in (1e-5, 1e-7, 1e-9):
-        result = hit(engine, rtol)
+        result = hit(rtol)
         summary = result.ledger.summary()
         assert summary.closed and summary.events["state"] == 9
         found = result.time[np.flatnonzero(np.diff(result.time) == 0)]
@@ -42,18 +40,10 @@ def test_the_error_of_event_times_follows_the_tolerance(engine):
     assert steps[0] < steps[1] < steps[2]
 
 
-def test_engines_take_the_same_steps():
-    python, native = (hit(engine, 1e-4) for engine in ENGINES)
-    assert python.time == pytest.approx(native.time, abs=1e-12)
-    assert python.values == pytest.approx(native.values, abs=1e-9)
-    assert (python.steps, python.rejected) == (native.steps, native.rejected)
-
-
-@pytest.mark.parametrize("engine", ENGINES)
-def test_bounces_pile_up_to_rest(engine):
+def test_bounces_pile_up_to_rest():
     """Their accumulation point lies within one long step."""
     m = build_model(build("bouncing_ball").declaration(), Collocated(2))
-    result = run(Monolithic(m, engine(m)), Options(stop=5.0, step=0.02, rtol=1e-6, max_step=0.5))
+    result = run(Monolithic(m, NativeInstance(m)), Options(stop=5.0, step=0.02, rtol=1e-6, max_step=0.5))
     assert result.ledger.summary().closed
     rests = result.time[np.flatnonzero(result.column("flight") == 0)[0]]
     assert rests == pytest.approx(9 * sqrt(2 / 9.81), abs=5e-6)  # what is left is below 1e-6 of the step

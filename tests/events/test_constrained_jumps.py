@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from math import sqrt
 
@@ -16,6 +15,7 @@ from phfmu import (
     Guard,
     Jump,
     Monolithic,
+    NativeInstance,
     Options,
     StateEvent,
     algebraic,
@@ -31,7 +31,6 @@ from phfmu import (
 from phfmu.components.mechanical.chain import chain
 from phfmu.components.mechanical.multibody import Multibody
 from phfmu.outcome.steps import Happened
-from tests.engines import ENGINES
 from tests.wide import wide
 
 LINKS, E, WALL = 3, 0.6, 2.2
@@ -46,10 +45,10 @@ def hitting_chain(e: float = E) -> PHDAE:
     return replace(links, state_events=(hit,))
 
 
-def landed(engine: Callable, declaration: PHDAE, h: float, n: int, k: int = 2):
+def landed(declaration: PHDAE, h: float, n: int, k: int = 2):
     """The state before the first event, the event, and the instance at the end of its step."""
     model = build_model(declaration) if declaration.constraints else build_model(declaration, Collocated(k))
-    instance = engine(model)
+    instance = NativeInstance(model)
     for part in instance.land(0.0, h, n, record=("x",)):
         if part.happened is not None:
             return part.rows["x"][-1], part.happened, instance
@@ -86,11 +85,10 @@ def generalised(q: np.ndarray, v: np.ndarray, mass: np.ndarray, e: float) -> tup
     return P @ new, 0.5 * w @ M @ w - 0.5 * new @ M @ new
 
 
-@pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("e", wide([0.0, E, 1.0], E))
-def test_the_impact_of_a_chain_is_that_in_its_angles(engine, e):
+def test_the_impact_of_a_chain_is_that_in_its_angles(e):
     declaration = hitting_chain(e)
-    before, happened, instance = landed(engine, declaration, 1e-2, 100)
+    before, happened, instance = landed(declaration, 1e-2, 100)
     mass = np.array(declaration.parameters[0].start)
     q, v = before[: 2 * LINKS], before[2 * LINKS :]
     expected, loss = generalised(q, v, mass, e)
@@ -105,11 +103,10 @@ def test_the_impact_of_a_chain_is_that_in_its_angles(engine, e):
     assert x[2 * LINKS + 2 * LINKS - 2] == pytest.approx(-e * v[-2], rel=1e-13, abs=1e-14)
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-def test_links_keep_their_length_rate_through_an_impact(engine):
+def test_links_keep_their_length_rate_through_an_impact():
     """The hidden constraints of the velocity level hold after it, so that the run goes on and its ledger closes."""
     model = build_model(hitting_chain())
-    result = run(Monolithic(model, engine(model)), Options(stop=0.7, step=1e-2))
+    result = run(Monolithic(model, NativeInstance(model)), Options(stop=0.7, step=1e-2))
     assert result.ledger.summary().closed
     assert result.ledger.summary().events["state"] >= 1
     rates = [n for n in result.names if n.startswith("constraint") and "velocity" in n]
@@ -135,9 +132,8 @@ def drive_train(second: float = 0.0) -> PHDAE:
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-def test_a_clutch_grips_both_discs_of_a_shaft(engine):
-    _, happened, instance = landed(engine, drive_train(), 0.02, 5)
+def test_a_clutch_grips_both_discs_of_a_shaft():
+    _, happened, instance = landed(drive_train(), 0.02, 5)
     assert happened.lost.sum() == pytest.approx(2.0 * 1.1 / (2 * 3.1) * 40.0**2, rel=1e-14)
     x = after(instance, happened)
     assert x[1:].sum() == pytest.approx(60.0 - 11.0, rel=1e-15)
@@ -145,15 +141,14 @@ def test_a_clutch_grips_both_discs_of_a_shaft(engine):
     assert x[0] == pytest.approx(1.0, abs=1e-14)
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-def test_capacitors_joined_lose_their_formula(engine):
+def test_capacitors_joined_lose_their_formula():
     """2 and 5 uF at 100 and 20 V, joined when a clock says so."""
     C, V = (2e-6, 5e-6), (100.0, 20.0)
     q = [state(f"q{i + 1}", unit="C", start=c * v, nominal=1e-4) for i, (c, v) in enumerate(zip(C, V, strict=True))]
     joined = StateEvent(Guard("join", time - 0.5, 1, unit="s"), jump=Jump({q[0]: 1.0, q[1]: -1.0}))
     model = PHDAE("pair", states=tuple(q), energies=tuple(energy(a**2 / (2 * c)) for a, c in zip(q, C, strict=True)),
                   dissipation=(damping(q[0], 0.0),), state_events=(joined,))  # fmt: skip
-    _, happened, instance = landed(engine, model, 0.3, 3)
+    _, happened, instance = landed(model, 0.3, 3)
     assert happened.lost.sum() == pytest.approx(C[0] * C[1] / (2 * sum(C)) * (V[0] - V[1]) ** 2, rel=1e-14)
     assert after(instance, happened).sum() == pytest.approx(3e-4, rel=1e-15)
 
@@ -186,11 +181,10 @@ WEIGHTS = (1.0, 2.0, 1.5, 0.5)
 CORNERS = ([0.0, 1.0], [1.0, 1.2], [1.0, 2.2], [0.0, 2.0])
 
 
-@pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("redundant", wide([False, True], True))
-def test_a_rigid_body_is_hit_as_one(engine, redundant):
+def test_a_rigid_body_is_hit_as_one(redundant):
     """lost = (1 - e^2)/2 v^2 / (1/M + r^2/I), r the distance of the centre of mass from the line of the impulse."""
-    _, happened, instance = landed(engine, square(redundant), 0.05, 20)
+    _, happened, instance = landed(square(redundant), 0.05, 20)
     m, q = np.array(WEIGHTS), np.array(CORNERS)
     centre = m @ q / m.sum()
     inertia = m @ ((q - centre) ** 2).sum(axis=1)
@@ -203,8 +197,7 @@ def test_a_rigid_body_is_hit_as_one(engine, redundant):
     assert v == pytest.approx(np.array([0.0, fall]) + spin * np.array([[-y, x] for x, y in arms]), abs=1e-12)
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-def test_a_jump_with_a_full_mass_matrix(engine):
+def test_a_jump_with_a_full_mass_matrix():
     """Velocities with E = M: the impulse on the first one moves both."""
     M = np.array([[2.0, 0.7], [0.7, 1.0]])
     q, v = state("q", 2, unit="m", start=[1.0, 0.0]), state("v", 2, unit="m/s", start=[-3.0, 1.0])
@@ -212,7 +205,7 @@ def test_a_jump_with_a_full_mass_matrix(engine):
     hit = StateEvent(Guard("floor", q.sx[0], -1, unit="m"), jump=Jump({v: [1.0, 0.0]}, 0.5))
     model = PHDAE("pair", states=(q, v), E={v: M}, energies=(energy(kinetic), energy(0 * q.sx[0])),
                   structure=(skew(q, v, np.eye(2)),), state_events=(hit,))  # fmt: skip
-    _, happened, instance = landed(engine, model, 0.1, 10)
+    _, happened, instance = landed(model, 0.1, 10)
     column = np.linalg.solve(M, [1.0, 0.0])
     m = 1.5 * 3.0 / column[0]
     assert after(instance, happened)[2:] == pytest.approx([-3.0, 1.0] + column * m, rel=1e-14)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from itertools import product
 
 import numpy as np
@@ -27,7 +26,6 @@ from phfmu import (
 from phfmu.events.impulse import impulses, pushing
 from phfmu.outcome.limits import LIMITS
 from phfmu.outcome.status import EventRefused
-from tests.engines import ENGINES
 
 M, A, G, HEIGHT = 2.0, 0.5, 9.81, 0.7
 
@@ -52,16 +50,15 @@ def beam(inertia: float, e: tuple[float, float], law: str = "unilateral") -> PHD
     )
 
 
-def first(engine: Callable, declaration: PHDAE):
+def first(declaration: PHDAE):
     """The first event, p and L after it."""
-    instance = engine(build_model(declaration, Collocated(2)))
+    instance = NativeInstance(build_model(declaration, Collocated(2)))
     for part in instance.land(0.0, 0.05, 10, record=("x",)):
         if part.happened is not None:
             return part.happened, part.happened.signals[2:4]
     raise AssertionError("no event")
 
 
-@pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize(
     ("inertia", "e"),
     [
@@ -73,9 +70,9 @@ def first(engine: Callable, declaration: PHDAE):
         (4 * M * A**2, (0.0, 1.0)),
     ],
 )
-def test_feet_of_unequal_restitution(engine, inertia, e):
+def test_feet_of_unequal_restitution(inertia, e):
     """lost = 1/2 sum m_j (1 - e_j) |c_j-|, m of the feet that push by hand; the loss is what the energy misses."""
-    happened, (p, spin) = first(engine, beam(inertia, e))
+    happened, (p, spin) = first(beam(inertia, e))
     v = np.sqrt(2 * G * HEIGHT)
     own, other = 1 / M + A**2 / inertia, 1 / M - A**2 / inertia
     both = (v / (own**2 - other**2)) * np.array(
@@ -93,21 +90,15 @@ def test_feet_of_unequal_restitution(engine, inertia, e):
     assert p**2 / (2 * M) + spin**2 / (2 * inertia) == pytest.approx(M * v**2 / 2 - lost, rel=1e-13)
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-def test_a_grip_of_both_would_make_energy_and_is_refused(engine):
+def test_a_grip_of_both_would_make_energy_and_is_refused():
     with pytest.raises(EventRefused, match="gain .* J: their restitutions differ.*unilateral"):
-        first(engine, beam(4 * M * A**2, (0.9, 0.0), "free"))
+        first(beam(4 * M * A**2, (0.9, 0.0), "free"))
 
 
 def test_the_ledger_closes_over_many_of_them():
     model = build_model(beam(4 * M * A**2, (0.9, 0.3)), Collocated(2))
     found = run(Monolithic(model, NativeInstance(model)), Options(stop=0.65, step=0.01)).ledger.summary()
     assert found.closed and found.events["state"] >= 2
-
-
-def test_engines_take_the_same_feet():
-    one, two = (first(e, beam(4 * M * A**2, (0.9, 0.0))) for e in ENGINES)
-    assert one[1] == pytest.approx(two[1], rel=1e-15) and one[0].t == two[0].t
 
 
 def test_a_law_that_is_none_is_told():

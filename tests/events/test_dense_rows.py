@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import product
 from math import cos, pi, sin, sqrt
 
 import casadi as ca
@@ -18,7 +17,6 @@ from phfmu import (
     Monolithic,
     NativeInstance,
     Options,
-    PythonInstance,
     StateEvent,
     SwitchedInstance,
     build_model,
@@ -31,9 +29,7 @@ from phfmu import (
 )
 from phfmu.cli import main
 from phfmu.runs.result import Result
-from tests.engines import ENGINES
 from tests.events.scenes import lifted
-from tests.wide import wide
 
 G, E, V0 = 9.81, 0.8, 2.0
 
@@ -85,27 +81,29 @@ def errors(result: Result, stiff: float) -> float:
     return float(np.abs(result.column("q")[inside] - [q for q, _ in exact]).max())
 
 
-@pytest.mark.parametrize(("engine", "k"), wide(product(ENGINES, (1, 2, 3)), *((PythonInstance, k) for k in (1, 2, 3))))
-def test_rows_between_bounces_have_order_k_plus_1(engine, k):
+@pytest.mark.parametrize("k", (1, 2, 3))
+def test_rows_between_bounces_have_order_k_plus_1(k):
     """Every step has its rows, those that were landed too; with constant gravity the polynomial of k >= 2 is the parabola."""
     model, found = build_model(ball(16.0), Collocated(k)), []
     for n in (12, 24):
-        result = run(Monolithic(model, engine(model)), Options(stop=0.64, step=0.64 / n, dense=4))
+        result = run(Monolithic(model, NativeInstance(model)), Options(stop=0.64, step=0.64 / n, dense=4))
         assert inside_of(result).sum() == 4 * result.steps and np.isfinite(result.values).all()
         assert result.column("q")[inside_of(result)].min() > 0.0 and (np.diff(result.time) >= 0).all()
         found.append(errors(result, 16.0))
     assert np.log2(found[0] / found[1]) == pytest.approx(k + 1, abs=0.35)
     if k > 1:
         model = build_model(ball(0.0), Collocated(k))
-        assert errors(run(Monolithic(model, engine(model)), Options(stop=0.7, step=0.07, dense=3)), 0.0) <= 1e-14
+        assert (
+            errors(run(Monolithic(model, NativeInstance(model)), Options(stop=0.7, step=0.07, dense=3)), 0.0) <= 1e-14
+        )
 
 
-@pytest.mark.parametrize("engine", wide(ENGINES, NativeInstance))
-def test_the_rows_at_step_ends_are_those_of_a_run_without(engine):
+def test_the_rows_at_step_ends_are_those_of_a_run_without():
     model = build_model(ball(16.0), Collocated(2))
     for rtol in (None, 1e-6):
         plain, dense = (
-            run(Monolithic(model, engine(model)), Options(stop=0.64, step=0.04, dense=n, rtol=rtol)) for n in (None, 2)
+            run(Monolithic(model, NativeInstance(model)), Options(stop=0.64, step=0.04, dense=n, rtol=rtol))
+            for n in (None, 2)
         )
         assert plain.values.tolist() == dense.values[~inside_of(dense)].tolist() and plain.interpolated is None
         assert inside_of(dense).sum() == 2 * dense.steps
@@ -114,14 +112,13 @@ def test_the_rows_at_step_ends_are_those_of_a_run_without(engine):
 LIFT, F0 = 0.3, 15.0
 
 
-@pytest.mark.parametrize("engine", wide(ENGINES, NativeInstance))
-def test_rows_of_switched_models_are_those_of_their_mode(engine):
+def test_rows_of_switched_models_are_those_of_their_mode():
     """F0 (t - LIFT) pulls the mass, which rests until LIFT; from there on q = F0 (t - LIFT)^3 / 6.
 
     Of degree 3: exact with k = 3; the force of the floor and the mode are those before it, too.
     """
     model = build_model(lifted(F0 * (ca.SX(time) - LIFT)), Collocated(3))
-    result = run(Monolithic(model, SwitchedInstance(model, engine)), Options(stop=0.7, step=0.07, dense=3))
+    result = run(Monolithic(model, SwitchedInstance(model, NativeInstance)), Options(stop=0.7, step=0.07, dense=3))
     inside, t = inside_of(result), result.time
     assert inside.sum() == 3 * result.steps
     np.testing.assert_allclose(result.column("q"), F0 / 6 * np.maximum(t - LIFT, 0.0) ** 3, atol=1e-14)
@@ -130,7 +127,7 @@ def test_rows_of_switched_models_are_those_of_their_mode(engine):
 
 
 def test_the_command_line_writes_them(tmp_path, capsys):
-    words = ["run", "bouncing_ball", "--engine", "python", "--stop", "0.5", "--dense", "2", "--quiet"]
+    words = ["run", "bouncing_ball", "--stop", "0.5", "--dense", "2", "--quiet"]
     assert main([*words, "-o", str(tmp_path / "b.csv")]) == 0
     header, *rows = (tmp_path / "b.csv").read_text().splitlines()
     at = header.split(",").index("interpolated")

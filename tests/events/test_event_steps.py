@@ -1,4 +1,4 @@
-"""Communication steps with state events in them are told as one step, in both engines: against landed steps one by one."""
+"""Communication steps with state events in them are told as one step: against landed steps one by one."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from phfmu import (
     Collocated,
     Guard,
     Jump,
+    NativeInstance,
     Port,
-    PythonInstance,
     StateEvent,
     StepFailure,
     build_model,
@@ -25,7 +25,6 @@ from phfmu import (
     state,
 )
 from phfmu.outcome.status import EventRefused, Status
-from tests.engines import ENGINES
 
 M, K, D, R, FORCE, H = 1.3, 7.0, 0.4, 0.15, 0.3, 0.25
 
@@ -49,17 +48,16 @@ def models() -> dict[int, Any]:
     return {k: build_model(wall(), Collocated(k)) for k in (1, 2)}
 
 
-def pushed(model: Any, engine: Any, force: float = FORCE) -> Any:
-    instance = engine(model)
+def pushed(model: Any, force: float = FORCE) -> Any:
+    instance = NativeInstance(model)
     instance.set_input([force])
     return instance
 
 
-@pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("k", [1, 2])
-def test_a_step_with_events_is_the_sum_of_its_landed_parts(models: dict[int, Any], engine: Any, k: int) -> None:
+def test_a_step_with_events_is_the_sum_of_its_landed_parts(models: dict[int, Any], k: int) -> None:
     """The same bits of states, and of what the parts told: energies add, means are weighted by length."""
-    whole, parts = pushed(models[k], engine), pushed(models[k], engine)
+    whole, parts = pushed(models[k]), pushed(models[k])
     seen, n = 0, 16
     for i in range(n):
         H0 = float(whole.signal("H").sum())
@@ -86,10 +84,9 @@ def test_a_step_with_events_is_the_sum_of_its_landed_parts(models: dict[int, Any
     assert seen >= 3
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-def test_run_lands_and_its_rows_are_those_of_its_steps(models: dict[int, Any], engine: Any) -> None:
-    """Its inputs, a row each step; engines agree."""
-    a, b = engine(models[2]), engine(models[2])
+def test_run_lands_and_its_rows_are_those_of_its_steps(models: dict[int, Any]) -> None:
+    """Its inputs, a row each step."""
+    a, b = NativeInstance(models[2]), NativeInstance(models[2])
     inputs = np.linspace(-0.3, 0.3, 12)[:, None]
     rows = a.run(0.0, H, 12, ("x", "stored", "y_step", "energy", "signals", "counts"), inputs=inputs)
     found = []
@@ -102,13 +99,10 @@ def test_run_lands_and_its_rows_are_those_of_its_steps(models: dict[int, Any], e
         np.testing.assert_array_equal(rows["energy"][i], b.signal("H"))
         np.testing.assert_array_equal(rows["signals"][i], np.concatenate(list(b.signals().values())))
     assert [e.t for e in a.happened] == [e.t for e in found] and len(found) > 1
-    other = PythonInstance(models[2]).run(0.0, H, 12, ("x",), inputs=inputs)["x"]
-    np.testing.assert_allclose(rows["x"], other, atol=1e-13)
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-def test_a_state_saved_before_an_event_gives_the_same_bits_after_it(models: dict[int, Any], engine: Any) -> None:
-    instance = pushed(models[2], engine)
+def test_a_state_saved_before_an_event_gives_the_same_bits_after_it(models: dict[int, Any]) -> None:
+    instance = pushed(models[2])
     while not instance.happened:
         before, t = instance.get_state(), instance.time
         instance.do_step(t, H)
@@ -120,11 +114,8 @@ def test_a_state_saved_before_an_event_gives_the_same_bits_after_it(models: dict
         np.testing.assert_array_equal(values, after[name])
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-def test_the_sensitivity_of_a_step_with_an_event_is_refused_and_without_one_is_right(
-    models: dict[int, Any], engine: Any
-) -> None:
-    instance = pushed(models[1], engine)
+def test_the_sensitivity_of_a_step_with_an_event_is_refused_and_without_one_is_right(models: dict[int, Any]) -> None:
+    instance = pushed(models[1])
     seen = set()
     for i in range(12):
         before = instance.get_state()
@@ -150,10 +141,9 @@ def test_the_sensitivity_of_a_step_with_an_event_is_refused_and_without_one_is_r
     assert seen == {False, True}
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-def test_a_refused_event_leaves_the_instance_where_the_step_began(engine: Any) -> None:
+def test_a_refused_event_leaves_the_instance_where_the_step_began() -> None:
     """The first impact is faster than `most`."""
-    instance = pushed(build_model(wall(most=0.1), Collocated(1)), engine)
+    instance = pushed(build_model(wall(most=0.1), Collocated(1)))
     with pytest.raises(EventRefused, match="'wall' would jump with"):
         for i in range(20):
             before = instance.signals()
@@ -163,9 +153,8 @@ def test_a_refused_event_leaves_the_instance_where_the_step_began(engine: Any) -
             np.testing.assert_allclose(values, before[name], rtol=1e-14, atol=1e-15)
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-def test_steps_back_in_time_inputs_at_nodes_and_impulses_are_refused(models: dict[int, Any], engine: Any) -> None:
-    instance = pushed(models[2], engine)
+def test_steps_back_in_time_inputs_at_nodes_and_impulses_are_refused(models: dict[int, Any]) -> None:
+    instance = pushed(models[2])
     instance.do_step(0.0, H)
     with pytest.raises(StepFailure, match="argument"):
         instance.do_step(H, -H)
@@ -176,10 +165,9 @@ def test_steps_back_in_time_inputs_at_nodes_and_impulses_are_refused(models: dic
         instance.do_step(H, H)
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-def test_internal_steps_and_slivers(models: dict[int, Any], engine: Any) -> None:
+def test_internal_steps_and_slivers(models: dict[int, Any]) -> None:
     """Two internal steps are two steps; what rounding leaves of a clock is none."""
-    two, one = pushed(models[2], engine), pushed(models[2], engine)
+    two, one = pushed(models[2]), pushed(models[2])
     for i in range(8):
         two.do_step(i * H, H, 2)
         found = []

@@ -21,7 +21,6 @@ from phfmu import (
     NativeInstance,
     Network,
     Options,
-    PythonInstance,
     build_model,
     export,
     run,
@@ -39,7 +38,6 @@ from phfmu.network.couplings.gauss_seidel import GaussSeidel
 from phfmu.network.couplings.newton import Newton
 from phfmu.network.couplings.node_newton import newton
 from phfmu.outcome.status import EventRefused
-from tests.engines import ENGINES
 from tests.wide import slow, wide
 
 OPENED, STOP, CHOP, L = 0.0203, 0.03, 0.5, 0.01
@@ -53,9 +51,9 @@ def network() -> Any:
     return breaker_opening(OPENED, chop=CHOP).system
 
 
-def apart(network: Any, engine: Any, k: int = 1, coupling: Any = newton) -> Coupled:
+def apart(network: Any, k: int = 1, coupling: Any = newton) -> Coupled:
     models = {n: build_model(d, Collocated(k)) for n, d in network.declared.items()}
-    return Coupled(network, [EngineMember(n, m, engine(m)) for n, m in models.items()], coupling)
+    return Coupled(network, [EngineMember(n, m, NativeInstance(m)) for n, m in models.items()], coupling)
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +69,7 @@ def test_events_inside_a_member_keep_order_two(network: Any, reference: Any, k: 
     times = [float(note.split()[2]) for note in reference.notes if "chop" in note]
     errors, late = [], []
     for h in (4e-4, 2e-4, 1e-4):
-        result = run(apart(network, NativeInstance, k, Newton()), Options(stop=STOP, step=h, events=EVENTS))
+        result = run(apart(network, k, Newton()), Options(stop=STOP, step=h, events=EVENTS))
         errors.append(np.abs([result.column(n)[-1] for n in KEPT] - expected).max())
         summary = result.ledger.summary()
         assert summary.closed and summary.events == {"parameter": 1, "state": 3}
@@ -93,7 +91,7 @@ def test_all_land_together_with_node_values_and_keep_order_2k(
     model, errors = build_model(network.compose(), Collocated(k)), []
     for h in steps:
         options = Options(stop=STOP, step=h, events=EVENTS)
-        coupled = apart(network, NativeInstance, k)
+        coupled = apart(network, k)
         assert coupled.lands
         result, whole = run(coupled, options), run(Monolithic(model, NativeInstance(model)), options)
         errors.append(np.abs([result.column(n)[-1] for n in KEPT] - expected).max())
@@ -107,14 +105,6 @@ def test_all_land_together_with_node_values_and_keep_order_2k(
         jumps = [{c.component: c.jumps for c in s.components if c.jumps} for s in (told, other)]
         assert jumps[0] == {"line": pytest.approx(jumps[1]["line"], rel=1e-12)}
     assert np.log2(errors[0] / errors[1]) == pytest.approx(2 * k, abs=0.3)
-
-
-def test_engines_land_together_alike(network: Any) -> None:
-    options = Options(stop=0.024, step=1.6e-3, events=EVENTS)
-    native, python = (run(apart(network, e, 2), options) for e in ENGINES)
-    np.testing.assert_allclose(python.time, native.time, rtol=1e-12)
-    for name in KEPT:
-        np.testing.assert_allclose(python.column(name), native.column(name), atol=1e-16)
 
 
 def test_an_event_that_is_refused_leaves_all_members_at_the_last_step(network: Any) -> None:
@@ -131,10 +121,10 @@ def test_an_event_that_is_refused_leaves_all_members_at_the_last_step(network: A
 
 
 @pytest.mark.slow
-def test_engines_agree_and_units_too(network: Any, tmp_path: Path) -> None:
+def test_a_unit_is_what_a_member_is(network: Any, tmp_path: Path) -> None:
     """A breaker that is a unit gives what it gives as a member of an engine, in the run and in the audit."""
     options = Options(stop=STOP, step=2.5e-4, events=EVENTS)
-    native, python = (run(apart(network, e), options) for e in ENGINES)
+    native = run(apart(network), options)
     members: list[Any] = []
     for name, d in network.declared.items():
         model = build_model(d, Collocated(1))
@@ -144,21 +134,20 @@ def test_engines_agree_and_units_too(network: Any, tmp_path: Path) -> None:
         (path,) = export(model, tmp_path, ("3.0",), step=2.5e-4, tunable=["command"])
         members.append(FMUMember(name, FMUInstance(path)))
     mixed = run(Coupled(network, members), options)
-    for other in (python, mixed):
-        for name in (*KEPT, "line.flux[1]"):
-            scale = np.abs(native.column(name)).max()
-            np.testing.assert_allclose(other.column(name), native.column(name), atol=1e-10 * scale)
-        summary = other.ledger.summary()
-        assert summary.closed and summary.events == native.ledger.summary().events == {"parameter": 1, "state": 3}
-        jumps = {c.component: c.jumps for c in summary.components if c.jumps}
-        assert jumps == {"line": pytest.approx(-3 * L * CHOP**2 / 2, rel=1e-9)}
+    for name in (*KEPT, "line.flux[1]"):
+        scale = np.abs(native.column(name)).max()
+        np.testing.assert_allclose(mixed.column(name), native.column(name), atol=1e-10 * scale)
+    summary = mixed.ledger.summary()
+    assert summary.closed and summary.events == native.ledger.summary().events == {"parameter": 1, "state": 3}
+    jumps = {c.component: c.jumps for c in summary.components if c.jumps}
+    assert jumps == {"line": pytest.approx(-3 * L * CHOP**2 / 2, rel=1e-9)}
     assert any("line: 1 state event in the unit, lost 0.00125 J" in note for note in mixed.notes)
 
 
 def test_the_audit_has_a_row_for_each_event_of_a_member(network: Any, tmp_path: Path, capsys: Any) -> None:
     """With time, member, energy and loss; the file closes when it is read again."""
     with AuditWriter(tmp_path / "a.parquet") as sink:
-        run(apart(network, NativeInstance), Options(stop=STOP, step=2.5e-4, events=EVENTS, sink=sink))
+        run(apart(network), Options(stop=STOP, step=2.5e-4, events=EVENTS, sink=sink))
     rows = [r for r in pq.read_table(tmp_path / "a.parquet").to_pylist() if r["row"] == "event"]
     state = [r for r in rows if r["kind"] == "state"]
     assert [r["component"] for r in state] == ["line"] * 3
@@ -190,7 +179,7 @@ def test_ideal_switches_between_inputs_are_refused_by_name(tmp_path: Path) -> No
     model = build_model(diode())
     net = build("rectifier").system
     members: list[Any] = [
-        EngineMember(n, m, stepped(m, PythonInstance))
+        EngineMember(n, m, stepped(m, NativeInstance))
         for n, m in ((n, build_model(d)) for n, d in net.declared.items())
     ]
     with pytest.raises(
@@ -209,10 +198,10 @@ def test_a_jump_that_a_rigid_link_shares_is_refused_by_name_where_a_member_lands
     net.add("other", mass(1.0, d=1e-9, v=-1.0))
     net.junction("link", ["hit.flange", "other.flange"], kind="1")
     composed = build_model(net.compose(), Collocated(2))
-    result = run(Monolithic(composed, PythonInstance(composed)), Options(stop=0.4, step=0.1))
+    result = run(Monolithic(composed, NativeInstance(composed)), Options(stop=0.4, step=0.1))
     assert -sum(c.jumps or 0.0 for c in result.ledger.summary().components) == pytest.approx(0.75 * 1.5, rel=1e-8)
     models = {n: build_model(d) for n, d in net.declared.items()}
-    members: list[Any] = [EngineMember(n, m, PythonInstance(m), parts=2) for n, m in models.items()]
+    members: list[Any] = [EngineMember(n, m, NativeInstance(m), parts=2) for n, m in models.items()]
     apart = Coupled(net, members)
     with pytest.raises(EventRefused, match="hit at t = 0.2.* s: the jump of 'hits', .* junction ties to other members"):
         run(apart, Options(stop=0.7, step=0.2))

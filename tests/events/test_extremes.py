@@ -1,4 +1,4 @@
-"""Events at the edges: in the first step, a hundred thousand of them, touches, groups; in both engines."""
+"""Events at the edges: in the first step, a hundred thousand of them, touches, groups."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ from phfmu import (
     Guard,
     Jump,
     NativeInstance,
-    PythonInstance,
     StateEvent,
     build_model,
     energy,
@@ -24,7 +23,6 @@ from phfmu import (
     state,
 )
 from phfmu.components.mechanical.multibody import Multibody
-from tests.engines import ENGINES
 
 G = 9.81
 
@@ -39,13 +37,10 @@ def ball(e: float):
     return build_model(declaration, Collocated(1))
 
 
-@pytest.mark.parametrize(
-    ("engine", "n"),
-    [(NativeInstance, 3_000), pytest.param(NativeInstance, 100_000, marks=pytest.mark.slow), (PythonInstance, 40)],
-)
-def test_many_events_are_neither_lost_nor_doubled(engine, n):
+@pytest.mark.parametrize("n", [3_000, pytest.param(100_000, marks=pytest.mark.slow)])
+def test_many_events_are_neither_lost_nor_doubled(n):
     """An elastic ball, one bounce a step or two, at all places of a step; constant gravity, so that all times are exact."""
-    instance, fall = engine(ball(1.0)), sqrt(2 / G)
+    instance, fall = NativeInstance(ball(1.0)), sqrt(2 / G)
     start = instance.signal("H").sum()
     h = 2 * fall * 0.99
     count = round((2 * n * fall) / h) + 1
@@ -57,11 +52,10 @@ def test_many_events_are_neither_lost_nor_doubled(engine, n):
     assert instance.signal("H").sum() == pytest.approx(start, rel=1e-9)
 
 
-@pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("part", [1e-9, 1e-4, 0.3, 1.0])
-def test_an_event_in_the_first_step(engine, part):
+def test_an_event_in_the_first_step(part):
     """The floor is reached at the given part of the first step, also right after its start and at its end."""
-    instance, fall = engine(ball(0.5)), sqrt(2 / G)
+    instance, fall = NativeInstance(ball(0.5)), sqrt(2 / G)
     first = next(p for p in instance.land(0.0, fall / part, 1) if p.happened)
     assert first.happened.t == pytest.approx(fall, rel=1e-14)
     assert first.happened.lost.sum() == pytest.approx(0.75 * G, rel=1e-13)
@@ -78,15 +72,14 @@ def turning(depth: float, k: int, place: float = 10.4):
     return build_model(declaration, Collocated(k))
 
 
-@pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize(
     ("k", "depth", "place", "seen"),
     [(1, 3e-3, 10.4, 2), (2, 1e-6, 10.4, 2), (3, 1e-6, 10.4, 2), (1, 1e-3, 10.2, 2), (3, 1e-8, 10.2, 2), (2, -1e-6, 10.4, 0),
      (3, -1e-8, 10.4, 0)],
 )  # fmt: skip
-def test_touches(engine, k, depth, place, seen):
+def test_touches(k, depth, place, seen):
     """What passes the guard is seen, shallower ones near step ends; what does not reach it is none, and the full step counts."""
-    instance = engine(turning(depth, k, place))
+    instance = NativeInstance(turning(depth, k, place))
     parts = list(instance.land(0.0, 2 * pi / 48, 20))
     assert sum(part.happened is not None for part in parts) == seen
     assert instance.time == pytest.approx(20 * 2 * pi / 48, abs=1e-14)
@@ -111,15 +104,14 @@ def test_a_touch_is_seen_where_the_polynomial_does_not_see_it_too(k, place, most
     error = above(k, place)
     assert 0.9 * most <= error <= most
     for depth in (1.3 * error, 0.7 * error, 1e-3 * error):
-        parts = PythonInstance(turning(depth, k, 10 + place)).land(0.0, 2 * pi / 48, 12)
+        parts = NativeInstance(turning(depth, k, 10 + place)).land(0.0, 2 * pi / 48, 12)
         assert sum(part.happened is not None for part in parts) == 2
 
 
-@pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("k", [2, 3])
-def test_a_touch_to_rounding_ends(engine, k):
+def test_a_touch_to_rounding_ends(k):
     """The turning point is the guard's zero: found twice, once or not at all, but the run goes on from it."""
-    instance = engine(turning(0.0, k))
+    instance = NativeInstance(turning(0.0, k))
     assert sum(part.happened is not None for part in instance.land(0.0, 2 * pi / 48, 20)) <= 2
     assert instance.signal("H").sum() == pytest.approx(0.5, abs=1e-15)
 
@@ -140,10 +132,9 @@ def bars():
     return build_model(replace(declaration, state_events=events))
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-def test_a_bar_falls_on_both_ends_at_once(engine):
+def test_a_bar_falls_on_both_ends_at_once():
     """One event of two jumps and the constraint of the bar; each end comes back with half of its speed."""
-    instance = engine(bars())
+    instance = NativeInstance(bars())
     found = [part.happened for part in instance.land(0.0, 0.05, 12) if part.happened]
     assert [h.events for h in found] == [(0, 1)]
     assert found[0].t == pytest.approx(sqrt(2 / G), abs=1e-12)
@@ -166,10 +157,9 @@ def relay():
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("h", [0.05, 0.31, 5.5])
-def test_a_relay_switches_where_it_should(engine, h):
+def test_a_relay_switches_where_it_should(h):
     """Also nine times within one step."""
     n = round(5.5 / h)
-    times = [part.happened.t for part in engine(relay()).land(0.0, 5.5 / n, n) if part.happened]
+    times = [part.happened.t for part in NativeInstance(relay()).land(0.0, 5.5 / n, n) if part.happened]
     assert times == pytest.approx([0.3 + 0.6 * j for j in range(9)], abs=1e-12)

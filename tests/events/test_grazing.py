@@ -24,7 +24,6 @@ from phfmu import (
     Network,
     Options,
     Port,
-    PythonInstance,
     StateEvent,
     build_model,
     energy,
@@ -35,7 +34,6 @@ from phfmu import (
     state,
 )
 from phfmu.network.couplings.node_newton import newton
-from tests.engines import ENGINES
 
 DEPTHS = (1e-2, 1e-4, 1e-6, 1e-8)
 #: places of a step at which the guard turns
@@ -52,29 +50,21 @@ def oscillator(depth: float, direction: int = 1) -> PHDAE:
                  structure=(skew(q, v, 1),), state_events=(event,))  # fmt: skip
 
 
-def times(declaration: PHDAE, k: int, h: float, engine, stop: float = 2.0, changed: bool = True) -> list[float]:
-    parts = engine(build_model(declaration, Collocated(k))).land(0.0, h, round(stop / h), changed=changed)
+def times(declaration: PHDAE, k: int, h: float, stop: float = 2.0, changed: bool = True) -> list[float]:
+    parts = NativeInstance(build_model(declaration, Collocated(k))).land(0.0, h, round(stop / h), changed=changed)
     return [part.happened.t for part in parts if part.happened]
 
 
-@pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("k", (1, 2, 3))
 @pytest.mark.parametrize("direction", (1, -1))
-def test_dips_of_any_depth_are_seen_and_none_is_made_up(engine, k, direction):
+def test_dips_of_any_depth_are_seen_and_none_is_made_up(k, direction):
     """In steps of 0.1 and 0.4 s both crossings are in one step or in two; -1: what counts is how the guard returns."""
     for depth in DEPTHS:
         for h, error in ((0.1, ERROR[k]), (0.4, far(k))):
-            found = times(oscillator(depth, direction), k, h, engine, changed=False)
+            found = times(oscillator(depth, direction), k, h, changed=False)
             assert found == [pytest.approx(1 - direction * acos(1 - depth), abs=error)], (depth, h)
-        assert times(oscillator(-depth, direction), k, 0.1, engine, changed=False) == []
-        assert times(oscillator(-depth, direction), k, 0.4, engine, changed=False) == []
-
-
-@pytest.mark.parametrize("k", (1, 2, 3))
-def test_both_engines_land_at_the_same_times(k):
-    for depth in DEPTHS:
-        (one,), (other,) = (times(oscillator(depth), k, 0.4, engine) for engine in (PythonInstance, NativeInstance))
-        assert one == pytest.approx(other, abs=1e-9 if depth < 1e-6 else 1e-12)
+        assert times(oscillator(-depth, direction), k, 0.1, changed=False) == []
+        assert times(oscillator(-depth, direction), k, 0.4, changed=False) == []
 
 
 @pytest.mark.parametrize("k", (1, 2, 3))
@@ -82,9 +72,8 @@ def test_a_guard_of_both_directions_sees_both_crossings(k):
     q, v = state("q", start=cos(1.0)), state("v", start=sin(1.0))
     both = PHDAE("oscillator", states=(q, v), energies=(energy((q**2 + v**2) / 2),), structure=(skew(q, v, 1),),
                  state_events=(StateEvent(Guard("top", q - (1 - 1e-3), 0)),))  # fmt: skip
-    for engine in (PythonInstance, NativeInstance):
-        found = times(both, k, 0.4, engine)
-        assert found == pytest.approx([1 - acos(1 - 1e-3), 1 + acos(1 - 1e-3)], abs=far(k))
+    found = times(both, k, 0.4)
+    assert found == pytest.approx([1 - acos(1 - 1e-3), 1 + acos(1 - 1e-3)], abs=far(k))
 
 
 @pytest.mark.parametrize("version", ("2.0", "3.0"))
@@ -149,7 +138,7 @@ def test_all_crossings_of_two_tones_are_seen(w, share, first, second, level):
     extremes = np.abs(g[1:-1][(g[1:-1] - g[:-2]) * (g[2:] - g[1:-1]) <= 0])
     if min(extremes, default=1.0) < 1e-6 or abs(g[0]) < 1e-6 or abs(g[-1]) < 1e-6:
         return  # whether it touches is for rounding to say
-    assert times(tones, 3, 0.2, NativeInstance, stop=6.0) == pytest.approx(crossed.tolist(), abs=1e-3)
+    assert times(tones, 3, 0.2, stop=6.0) == pytest.approx(crossed.tolist(), abs=1e-3)
 
 
 def far(k: int) -> float:

@@ -22,7 +22,6 @@ from phfmu import (
     NativeInstance,
     Options,
     Port,
-    PythonInstance,
     StateEvent,
     Switch,
     SwitchedInstance,
@@ -137,8 +136,8 @@ def model(k: int):
     return build_model(isolated(), Collocated(k))
 
 
-def opened(k: int, engine: Callable, n: int):
-    stepper = Monolithic(model(k), SwitchedInstance(model(k), engine))
+def opened(k: int, n: int):
+    stepper = Monolithic(model(k), SwitchedInstance(model(k), NativeInstance))
     return run(stepper, Options(stop=STOP, step=STOP / n, events=(Event(COMMAND, "command", 0.0),)))
 
 
@@ -147,10 +146,9 @@ def currents(result) -> np.ndarray:
     return np.array([result.column(f"source[{j}]")[row] for j in (1, 2, 3)]) / LS
 
 
-@pytest.mark.parametrize("engine", [NativeInstance, slow(PythonInstance)])
-def test_the_last_two_poles_open_at_once_and_the_star_floats(engine):
+def test_the_last_two_poles_open_at_once_and_the_star_floats():
     """Each mode has its structure: three currents of sum zero, two opposite ones, none and a potential that no row determines."""
-    result = opened(3, engine, 120)
+    result = opened(3, 120)
     first, pole, second, i = exact()
     told = [n for n in result.notes if "zero" in n]
     assert len(told) == 2
@@ -174,7 +172,7 @@ def test_the_last_two_poles_open_at_once_and_the_star_floats(engine):
 
 def test_the_potential_of_the_star_while_one_pole_is_open():
     """That of the two closed branches, e - R i - L i', and the open side of the third follows it."""
-    result = opened(3, NativeInstance, 120)
+    result = opened(3, 120)
     _, pole, _, i = exact()
     a, b = (j for j in range(3) if j != pole)
     e = E * np.cos(W * BETWEEN + ANGLES)
@@ -189,5 +187,5 @@ def test_the_potential_of_the_star_while_one_pole_is_open():
 @pytest.mark.parametrize("k", [3, slow(1), slow(2)])
 def test_order_2k_through_the_openings(k):
     n = {1: 480, 2: 120, 3: 60}[k]
-    errors = [np.abs(currents(opened(k, NativeInstance, m)) - exact()[3]).max() for m in (n, 2 * n)]
+    errors = [np.abs(currents(opened(k, m)) - exact()[3]).max() for m in (n, 2 * n)]
     assert np.log2(errors[0] / errors[1]) == pytest.approx(2 * k, abs=0.25)

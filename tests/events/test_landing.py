@@ -1,9 +1,8 @@
-"""State events are landed on: times, states and losses against exact solutions, in both engines."""
+"""State events are landed on: times, states and losses against exact solutions."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import product
 from math import cos, pi, sin, sqrt
 
 import numpy as np
@@ -19,7 +18,6 @@ from phfmu import (
     NativeInstance,
     Options,
     Port,
-    PythonInstance,
     StateEvent,
     StepFailure,
     algebraic,
@@ -34,9 +32,7 @@ from phfmu import (
 )
 from phfmu.components.library import build
 from phfmu.outcome.status import EventRefused
-from tests.engines import ENGINES
 from tests.events.scenes import MASS, REBOUND, WALL_STOP, exact, wall
-from tests.wide import wide
 
 
 @pytest.fixture(scope="module")
@@ -44,14 +40,13 @@ def models() -> dict:
     return {k: build_model(wall(), Collocated(k)) for k in (1, 2, 3)}
 
 
-@pytest.mark.parametrize("engine", wide(ENGINES, NativeInstance))
 @pytest.mark.parametrize(("k", "n", "time_error"), [(1, 160, 5e-3), (2, 160, 1e-6), (3, 320, 1e-12)])
-def test_order_2k_through_nine_impacts(models, engine, k, n, time_error):
+def test_order_2k_through_nine_impacts(models, k, n, time_error):
     times, q, p = exact()
     assert len(times) == 9
     errors = []
     for steps in (n // 2, n):
-        instance = engine(models[k])
+        instance = NativeInstance(models[k])
         start = instance.signal("H").sum()
         parts = list(instance.land(0.0, WALL_STOP / steps, steps, record=("stored",)))
         happened = [part.happened for part in parts if part.happened]
@@ -65,47 +60,30 @@ def test_order_2k_through_nine_impacts(models, engine, k, n, time_error):
     assert np.log2(errors[0] / errors[1]) == pytest.approx(2 * k, abs=0.2)
 
 
-def test_engines_land_alike(models):
-    native, python = (
-        list(engine(models[2]).land(0.0, 0.05, 120, record=("signals", "stored"))) for engine in ENGINES
-    )  # fmt: skip
-    assert len(native) == len(python)
-    for a, b in zip(native, python, strict=True):
-        assert a.t == pytest.approx(b.t, abs=1e-13) and a.h == pytest.approx(b.h, abs=1e-13)
-        assert a.rows["signals"] == pytest.approx(b.rows["signals"], abs=1e-12)
-        if a.happened is None or b.happened is None:
-            assert a.happened is b.happened is None
-            continue
-        assert a.happened.events == b.happened.events and a.happened.t == pytest.approx(b.happened.t, abs=1e-13)
-        assert a.happened.lost == pytest.approx(b.happened.lost, rel=1e-12)
-
-
-@pytest.mark.parametrize("engine", wide(ENGINES, NativeInstance))
-def test_landing_takes_few_solves(models, engine):
+def test_landing_takes_few_solves(models):
     """Most 6 an event beyond its trial and its landed step."""
     for k in (1, 2, 3):
-        instance = engine(models[k])
+        instance = NativeInstance(models[k])
         before = instance.counts["solves"]
         events = sum(part.happened is not None for part in instance.land(0.0, WALL_STOP / 160, 160))
         assert (instance.counts["solves"] - before - 160 - events) / events <= 6
 
 
-@pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("cut", [1, 7])
-def test_blocks_of_steps_do_not_matter(models, engine, cut):
-    whole, parts = engine(models[1]), engine(models[1])
+def test_blocks_of_steps_do_not_matter(models, cut):
+    whole, parts = NativeInstance(models[1]), NativeInstance(models[1])
     list(whole.land(0.0, 0.05, 42))
     for first in range(0, 42, cut):
         list(parts.land(0.0, 0.05, cut, first=first, changed=first == 0))
     assert (whole.x == parts.x).all()
 
 
-@pytest.mark.parametrize(("engine", "k"), wide(product(ENGINES, (1, 2)), (NativeInstance, 1), (PythonInstance, 2)))
-def test_a_ball_comes_to_rest(engine, k):
+@pytest.mark.parametrize("k", (1, 2))
+def test_a_ball_comes_to_rest(k):
     """The bounces end at t = sqrt(2 h/g) (1 + e)/(1 - e); gravity is constant, so that all times are exact."""
     scene = build("bouncing_ball")
     model = build_model(scene.declaration(), Collocated(k))
-    result = run(Monolithic(model, engine(model)), Options(stop=scene.stop, step=scene.step))
+    result = run(Monolithic(model, NativeInstance(model)), Options(stop=scene.stop, step=scene.step))
     summary = result.ledger.summary()
     assert summary.closed
     end = sqrt(2 / 9.81) * 9
@@ -123,13 +101,12 @@ def test_a_ball_comes_to_rest(engine, k):
     assert summary.events["state"] == len(jumps)
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-def test_start_on_the_guard(engine):
+def test_start_on_the_guard():
     """A ball that starts on the floor and falls has its impact at once; one that is thrown up flies first."""
     scene = build("bouncing_ball")
     for p, first in ((0.0, 0.0), (-1.0, 0.0), (1.0, 2 / 9.81)):
         model = build_model(scene.declaration().with_starts({"q": 0.0, "p": p}), Collocated(2))
-        part = next(iter(engine(model).land(0.0, 0.5, 1)))
+        part = next(iter(NativeInstance(model).land(0.0, 0.5, 1)))
         assert part.happened is not None and part.happened.t == pytest.approx(first, abs=1e-14)
 
 
@@ -142,8 +119,8 @@ def oscillator(*events: StateEvent, **more) -> tuple[PHDAE, dict]:
     ), {"q": q, "p": p, "s": s}  # fmt: skip
 
 
-def fired(declaration: PHDAE, k: int, h: float, n: int, engine=PythonInstance) -> list[float]:
-    parts = engine(build_model(declaration, Collocated(k))).land(0.0, h, n)
+def fired(declaration: PHDAE, k: int, h: float, n: int) -> list[float]:
+    parts = NativeInstance(build_model(declaration, Collocated(k))).land(0.0, h, n)
     return [part.happened.t for part in parts if part.happened]
 
 
@@ -159,31 +136,28 @@ def test_short_dips_are_seen(k, depth):
     assert len(found) == 2 and found[1] - found[0] == pytest.approx(2 * np.arccos(1 - depth), rel=0.2)
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-def test_an_event_on_a_grid_point_happens_once(engine):
+def test_an_event_on_a_grid_point_happens_once():
     q = state("q", start=1.0)
     s = parameter("s", 1.0)
     e = StateEvent(Guard("zero", q, -1), when={"s": 1.0}, sets={"s": -1.0})
     p = state("p", start=1.0)
     declaration = PHDAE("line", states=(q, p), parameters=(s,), energies=(energy(p**2 / 2), energy(0 * q.sx)),
                         structure=(skew(q, p, -s.sx),), state_events=(e,))  # fmt: skip
-    instance = engine(build_model(declaration, Collocated(2)))
+    instance = NativeInstance(build_model(declaration, Collocated(2)))
     times = [part.happened.t for part in instance.land(0.0, 0.25, 8) if part.happened]
     assert times == [pytest.approx(1.0, abs=1e-15)]
     assert instance.x[0] == pytest.approx(1.0, abs=1e-14)  # there and back
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-def test_two_guards_at_one_instant_are_one_event(engine):
+def test_two_guards_at_one_instant_are_one_event():
     model, v = oscillator()
     guards = (Guard(n, c * v["q"], -1, unit="m") for n, c in (("a", 1), ("b", 3)))
     events = tuple(StateEvent(g, when={"s": 1.0}, sets={"s": 2.0}) for g in guards)
-    parts = engine(build_model(replace(model, state_events=events), Collocated(2))).land(0.0, 0.3, 20)
+    parts = NativeInstance(build_model(replace(model, state_events=events), Collocated(2))).land(0.0, 0.3, 20)
     assert [part.happened.events for part in parts if part.happened] == [(0, 1)]
 
 
-@pytest.mark.parametrize("engine", [NativeInstance, pytest.param(PythonInstance, marks=pytest.mark.slow)])
-def test_chatter_and_crowds_are_refused_by_name(engine):
+def test_chatter_and_crowds_are_refused_by_name():
     model, v = oscillator()
     g = v["q"] - 0.5
     off = StateEvent(Guard("off", g, -1), when={"s": 1.0}, sets={"s": 0.0})
@@ -192,10 +166,10 @@ def test_chatter_and_crowds_are_refused_by_name(engine):
     beyond = *beyond, StateEvent(Guard("off again", g - 0.2, -1), when={"s": 1.0, "r": 1.0}, sets={"s": 0.0})
     for events, says in ((both, "100 events fall into one step"), (beyond, "happens again at the same instant")):
         with pytest.raises(EventRefused, match=says):
-            list(engine(build_model(replace(model, state_events=events), Collocated(1))).land(0.0, 0.1, 40))
+            list(NativeInstance(build_model(replace(model, state_events=events), Collocated(1))).land(0.0, 0.1, 40))
     scene = build("bouncing_ball").declaration()
     endless = replace(scene, state_events=tuple(replace(e, rest={}) for e in scene.state_events))
-    instance = engine(build_model(endless, Collocated(2)))
+    instance = NativeInstance(build_model(endless, Collocated(2)))
     with pytest.raises(StepFailure, match="100 events fall into one step, the last 'floor'.*rest"):
         list(instance.land(0.0, 0.5, 10))
     assert instance.time < 4.07  # at its last accepted step
@@ -221,9 +195,8 @@ def clutch(most: float = np.inf) -> PHDAE:
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-def test_the_loss_of_a_clutch_is_its_formula(engine):
-    instance = engine(build_model(clutch(), Collocated(2)))
+def test_the_loss_of_a_clutch_is_its_formula():
+    instance = NativeInstance(build_model(clutch(), Collocated(2)))
     before = instance.x[1:].sum()
     (happened,) = (part.happened for part in instance.land(0.0, 0.02, 5) if part.happened)
     assert happened.lost.sum() == pytest.approx(2.0 * 0.7 / (2 * 2.7) * 40.0**2, rel=1e-14)
@@ -234,9 +207,8 @@ def test_the_loss_of_a_clutch_is_its_formula(engine):
     )  # unmoved by the jump
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-def test_a_jump_beyond_its_limit_is_refused(engine):
-    instance = engine(build_model(clutch(most=39.0), Collocated(2)))
+def test_a_jump_beyond_its_limit_is_refused():
+    instance = NativeInstance(build_model(clutch(most=39.0), Collocated(2)))
     with pytest.raises(EventRefused, match=r"'grip' would jump with \|c\| = 40, more than its most = 39"):
         list(instance.land(0.0, 0.02, 5))
 
@@ -258,8 +230,7 @@ def test_compiled_landing_goes_on_where_its_room_ended(monkeypatch):
     assert steps[0] == steps[1] and len(steps[0]) > 60
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-def test_guards_of_algebraic_variables(engine):
+def test_guards_of_algebraic_variables():
     """The voltage over a resistor in series is an algebraic variable; it is solved for within the step too."""
     flux, v = state("flux", unit="Wb", start=1.0), algebraic("v", unit="V")
     s = parameter("s", 1.0)
@@ -268,12 +239,13 @@ def test_guards_of_algebraic_variables(engine):
         structure=(skew(flux, v, -1.0),), dissipation=(damping(v, 1.0),),
         state_events=(StateEvent(Guard("half", v.sx - 0.5, -1, unit="V"), when={"s": 1.0}, sets={"s": 0.0}),),
     )  # fmt: skip
-    (happened,) = (p.happened for p in engine(build_model(decay, Collocated(3))).land(0.0, 0.02, 50) if p.happened)
+    (happened,) = (
+        p.happened for p in NativeInstance(build_model(decay, Collocated(3))).land(0.0, 0.02, 50) if p.happened
+    )
     assert happened.t == pytest.approx(np.log(2), abs=1e-12)
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-def test_guards_of_time_and_of_inputs(engine):
+def test_guards_of_time_and_of_inputs():
     q, p = state("q", start=0.0), state("p", start=0.0)
     force = Port("force", TRANSLATIONAL, "effort", {p: 1.0}, start=2.0)
     s = parameter("s", (1.0, 1.0), 2)
@@ -283,16 +255,15 @@ def test_guards_of_time_and_of_inputs(engine):
     )
     body = PHDAE("body", states=(q, p), parameters=(s,), energies=(energy(p**2 / 2), energy(0 * q.sx)),
                  structure=(skew(q, p, 1.0),), ports=(force,), state_events=events)  # fmt: skip
-    found = [p.happened for p in engine(build_model(body, Collocated(2))).land(0.0, 0.125, 8) if p.happened]
+    found = [p.happened for p in NativeInstance(build_model(body, Collocated(2))).land(0.0, 0.125, 8) if p.happened]
     assert [h.events for h in found] == [(0,), (1,)]
     assert [h.t for h in found] == [pytest.approx(0.3137, abs=1e-15), pytest.approx(0.4, abs=1e-14)]  # q = t^2
 
 
-@pytest.mark.parametrize("engine", [NativeInstance, PythonInstance])
-def test_a_bounce_without_end_is_told_of_rest_first(engine):
+def test_a_bounce_without_end_is_told_of_rest_first():
     """Zeno: the ball of the library, at whose floor nothing says what holds at rest."""
     scene = build("bouncing_ball").declaration()
     endless = replace(scene, state_events=tuple(replace(e, rest={}) for e in scene.state_events))
     with pytest.raises(EventRefused) as refused:
-        list(engine(build_model(endless, Collocated(1))).land(0.0, 0.02, 250))
+        list(NativeInstance(build_model(endless, Collocated(1))).land(0.0, 0.02, 250))
     assert "Next: declare what holds where a bounce comes to rest (StateEvent(rest=..)" in str(refused.value)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from phfmu import Collocated, Monolithic, NativeInstance, Options, PythonInstance, build_model, run
+from phfmu import Collocated, Monolithic, NativeInstance, Options, build_model, run
 from phfmu.components.library import build
 from phfmu.engine.switched import stepped
 from tests.events.exact_buck import exact
@@ -27,25 +27,24 @@ SCENES = {
     "bead": (1, 1),
     "smib_breaker": (7, None),
 }
-ENGINES = {"native": NativeInstance, "python": PythonInstance}
 
 pytestmark = pytest.mark.slow
 
 
-def long(name: str, times: int, k: int, engine: str) -> tuple[Any, Any]:
+def long(name: str, times: int, k: int) -> tuple[Any, Any]:
     """The instance at the end and the result of a run."""
     scene = build(name)
     model = build_model(scene.declaration(), None if name == "bead" else Collocated(k))
-    made = stepped(model, ENGINES[engine])
+    made = stepped(model, NativeInstance)
     options = Options(stop=times * scene.stop, step=scene.step, events=scene.events, every=1000)
     return made, run(Monolithic(model, made), options)
 
 
-def require_as_expected(name: str, times: int, k: int, engine: str) -> Any:
-    made, result = long(name, times, k, engine)
+def require_as_expected(name: str, times: int, k: int) -> Any:
+    made, result = long(name, times, k)
     summary = result.ledger.summary()
     count, expected = summary.events.get("state", 0), SCENES[name][0 if times == 10 else 1]
-    print(f"{name} {times} times, {engine}, order {2 * k}: {count} state events")
+    print(f"{name} {times} times, order {2 * k}: {count} state events")
     assert summary.closed and np.isfinite(made.x).all()
     if expected is not None:
         assert abs(count - expected) <= max(1, 2e-3 * expected)
@@ -55,14 +54,7 @@ def require_as_expected(name: str, times: int, k: int, engine: str) -> Any:
 @pytest.mark.parametrize("k", [1, 2, 3])
 @pytest.mark.parametrize("name", SCENES)
 def test_ten_times_as_long(name: str, k: int) -> None:
-    require_as_expected(name, 10, k, "native")
-
-
-@pytest.mark.parametrize(
-    ("name", "k"), [(n, 1 + i % 3) for i, n in enumerate(SCENES) if n not in ("buck", "smib_breaker")]
-)
-def test_ten_times_as_long_in_python(name: str, k: int) -> None:
-    require_as_expected(name, 10, k, "python")
+    require_as_expected(name, 10, k)
 
 
 LONG = [n for n, (_, many) in SCENES.items() if many or n == "bouncing_ball"]
@@ -70,20 +62,20 @@ LONG = [n for n, (_, many) in SCENES.items() if many or n == "bouncing_ball"]
 
 @pytest.mark.parametrize(("name", "k"), [(n, 1 + i % 3) for i, n in enumerate(LONG) if n != "buck"])
 def test_a_thousand_times_as_long(name: str, k: int) -> None:
-    require_as_expected(name, 1000, k, "native")
+    require_as_expected(name, 1000, k)
 
 
 def test_sixty_thousand_periods_of_a_converter_end_where_the_exact_stretches_do() -> None:
     """The steady state of a thousand lengths, which the exact solution has after a hundredth of that."""
     scene = build("buck")
-    made = require_as_expected("buck", 1000, 3, "native")
+    made = require_as_expected("buck", 1000, 3)
     assert made.x == pytest.approx(exact(0.03, lambda _: 0.6), rel=1e-6)
     assert scene.stop * 1000 == 3.0
 
 
 def test_a_rotor_between_two_speeds_takes_the_periods_of_its_exponentials() -> None:
     """Thousands of switchings, each period as long as two exponentials of J/d = 2.5 s."""
-    _, result = long("two_point_control", 1000, 3, "native")
+    _, result = long("two_point_control", 1000, 3)
     at = [float(n.split("=")[1].split()[0]) for n in result.notes if n.startswith("t = ")]
     period = 2.5 * (log((200 - 95) / (200 - 105)) + log(105 / 95))
     first = 2.5 * log((200 - 80) / (200 - 105))

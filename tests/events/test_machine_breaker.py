@@ -16,7 +16,6 @@ from phfmu import (
     NativeInstance,
     Network,
     Options,
-    PythonInstance,
     build_model,
     run,
 )
@@ -26,7 +25,6 @@ from phfmu.components.electrical.machines.synchronous_machine import synchronous
 from phfmu.components.library import build
 from phfmu.components.scenes.smib import circuit
 from phfmu.runs.result import Result
-from tests.engines import ENGINES
 
 OPEN = 0.005
 
@@ -50,9 +48,11 @@ def model(k: int):
     return build_model(declaration(), Collocated(k))
 
 
-def opened(engine, k: int, h: float, stop: float, command: float) -> Result:
+def opened(k: int, h: float, stop: float, command: float) -> Result:
     m = model(k)
-    return run(Monolithic(m, engine(m)), Options(stop=stop, step=h, events=(Event(OPEN, "line.command", command),)))
+    return run(
+        Monolithic(m, NativeInstance(m)), Options(stop=stop, step=h, events=(Event(OPEN, "line.command", command),))
+    )
 
 
 def jumps(result: Result) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -76,9 +76,8 @@ def inductances(theta: float) -> np.ndarray:
     return T.T @ L @ T
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-def test_three_poles_open_at_their_zeros(engine):
-    result = opened(engine, 2, 2e-4, 0.02, 0.0)
+def test_three_poles_open_at_their_zeros():
+    result = opened(2, 2e-4, 0.02, 0.0)
     assert result.ledger.summary().closed
     times = result.time[np.flatnonzero(np.diff(result.time) == 0)]
     assert times == pytest.approx([7.594e-3, 10.161e-3, 13.005e-3], abs=1e-6)
@@ -90,10 +89,9 @@ def test_three_poles_open_at_their_zeros(engine):
         assert np.abs(result.column(f"gen.I[{phase}]")[gone]).max() <= 1e-9
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-def test_forced_opening_loses_what_both_branches_store(engine):
+def test_forced_opening_loses_what_both_branches_store():
     """All poles at once: 1/2 L i^2 in the line, and in the machine 1/2 i S^-1 i, S the inverse inductance of its phases."""
-    result = opened(engine, 2, 2e-4, 0.006, 2.0)
+    result = opened(2, 2e-4, 0.006, 2.0)
     ((before, after),) = jumps(result)
     names = result.names
     i = np.array([before[names.index(f"line.i[{j}]")] for j in (1, 2, 3)])
@@ -118,11 +116,11 @@ def slopes(errors: list[float]) -> np.ndarray:
 @pytest.mark.slow
 @pytest.mark.parametrize(("k", "steps"), [(1, (4e-4, 2e-4, 1e-4)), (2, (4e-4, 2e-4, 1e-4)), (3, (8e-4, 4e-4, 2e-4))])
 def test_fluxes_and_zeros_are_of_order_2k(k, steps):
-    exact = opened(NativeInstance, 3, 2.5e-5, 0.03, 0.0)
+    exact = opened(3, 2.5e-5, 0.03, 0.0)
     fluxes = [n for n in exact.names if n.startswith("gen.psi[") and not n.endswith("_end")]
     errors, late = [], []
     for h in steps:
-        found = opened(NativeInstance, k, h, 0.03, 0.0)
+        found = opened(k, h, 0.03, 0.0)
         errors.append(max(abs(found.column(n)[-1] - exact.column(n)[-1]) for n in fluxes))
         late.append(max(abs(a - b) for a, b in zip(zeros(found), zeros(exact), strict=True)))
     assert slopes(errors)[-1] == pytest.approx(2 * k, abs=0.2)
@@ -133,12 +131,11 @@ def zeros(result: Result) -> list[float]:
     return [float(t) for t in result.time[np.flatnonzero(np.diff(result.time) == 0)]]
 
 
-@pytest.mark.parametrize("engine", [NativeInstance, pytest.param(PythonInstance, marks=pytest.mark.slow)])
-def test_a_fault_on_one_of_two_lines_is_cleared(engine):
+def test_a_fault_on_one_of_two_lines_is_cleared():
     """`smib_breaker`: six poles open one by one at their zeros; nodes of inductors hold through all of it."""
     scene = build("smib_breaker")
     m = build_model(scene.declaration(), Collocated(2))
-    result = run(Monolithic(m, engine(m)), Options(stop=0.1, step=scene.step, events=scene.events))
+    result = run(Monolithic(m, NativeInstance(m)), Options(stop=0.1, step=scene.step, events=scene.events))
     summary = result.ledger.summary()
     assert summary.closed and summary.events["state"] == 7  # the fault comes at once
     assert max(result.worst.values()) <= 1e-8  # A
@@ -164,7 +161,7 @@ def test_chopped_currents_lose_their_formula():
     net.junction("bus2", ["line.b", "grid.terminal"])
     m = build_model(net.compose(), Collocated(2))
     result = run(
-        Monolithic(m, PythonInstance(m)), Options(stop=0.009, step=2e-4, events=(Event(OPEN, "line.command", 0.0),))
+        Monolithic(m, NativeInstance(m)), Options(stop=0.009, step=2e-4, events=(Event(OPEN, "line.command", 0.0),))
     )
     before, after = jumps(result)[0]
     names = result.names

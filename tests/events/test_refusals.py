@@ -1,8 +1,8 @@
-"""What has no mode is refused by name: friction that sticks, sliding, contacts that share what no row tells; in both engines."""
+"""What has no mode is refused by name: friction that sticks, sliding, contacts that share what no row tells."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import casadi as ca
@@ -22,6 +22,7 @@ from phfmu import (
     Options,
     Port,
     PythonInstance,
+    Refusal,
     StateEvent,
     Switch,
     SwitchedInstance,
@@ -37,10 +38,10 @@ from phfmu import (
     state,
     time,
 )
+from phfmu.cli import main
 from phfmu.components.electrical.sources import voltage_source
+from phfmu.components.library import build
 from phfmu.outcome.status import EventRefused
-from tests.engines import ENGINES
-from tests.wide import wide
 
 Q, P, P2 = state("q", unit="m"), state("p", unit="kg.m/s", start=1.0), state("p2", unit="kg.m/s", start=-1.0)
 F, V0, MASS = 3.0, 0.01, 2.0
@@ -101,11 +102,10 @@ def stick() -> PHDAE:
     return body(ports=(friction,), parameters=(s,), state_events=events)
 
 
-@pytest.mark.parametrize("engine", wide(ENGINES, NativeInstance))
-def test_sliding_is_refused_by_name_where_it_begins(engine):
+def test_sliding_is_refused_by_name_where_it_begins():
     """MASS q'' + q = -F from q = 0 with p = 1: rest where tan(w t) = p w / F, w^2 = 1 / MASS."""
     model = build_model(stick(), Collocated(3))
-    instance = engine(model)
+    instance = NativeInstance(model)
     with pytest.raises(EventRefused, match=r"100 events .* at one instant, the last 'turns_.*Coulomb friction.*tanh"):
         list(instance.land(0.0, 0.01, 100))
     w = np.sqrt(1 / MASS)
@@ -129,18 +129,17 @@ def table(x: ca.SX, y: ca.SX) -> PHDAE:
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("engine", wide(ENGINES, PythonInstance))
-def test_legs_that_share_a_load_are_refused_where_least_norm_would_lift_one(engine):
+def test_legs_that_share_a_load_are_refused_where_least_norm_would_lift_one():
     """Least norm: N_i = 10/4 (1 + x_i x + y_i y); leg 3 is lifted where x + y = 1, where it could bear as much as leg 2."""
     lever = ca.SX(0.7 * ca.sin(time))
     model = build_model(table(lever, lever), Collocated(2))
-    instance = SwitchedInstance(model, engine)
+    instance = SwitchedInstance(model, NativeInstance)
     with pytest.raises(
         EventRefused, match="'leg3' opens where its share .* could hold up to 2.5: .* depend on each other"
     ):
         list(instance.land(0.0, 0.1, 20))
     assert instance.time == pytest.approx(np.arcsin(1 / 1.4), abs=1e-9)
-    instance = SwitchedInstance(model, engine)
+    instance = SwitchedInstance(model, NativeInstance)
     list(instance.land(0.0, 0.1, 5))
     bears = 2.5 * (1 + np.array([2, 0, -2, 0]) * 0.7 * np.sin(0.5))
     np.testing.assert_allclose(instance.signal("a_end"), bears, rtol=1e-9)
@@ -173,6 +172,32 @@ def test_a_capacitor_on_an_ideal_source_is_told_by_name_with_the_order_it_has():
         model = build_model(declaration, Collocated(k))
         errors = []
         for n in (8, 16):
-            result = run(Monolithic(model, PythonInstance(model)), Options(stop=2.0, step=2.0 / n))
+            result = run(Monolithic(model, NativeInstance(model)), Options(stop=2.0, step=2.0 / n))
             errors.append(abs(result.column("load.q")[-1] - np.sin(2.0)))
         assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.3)
+
+
+@pytest.mark.parametrize(("scene", "vary"), [("bouncing_ball", "e=0.5,0.9"), ("rectifier", "load.R=1,2")])
+def test_the_python_engine_says_what_lands_on_guards(scene: str, vary: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Refused before the first step, of a run and of a sweep."""
+    for words in (["run", scene], ["sweep", scene, "--vary", vary, "--measure", "last(time)"]):
+        assert main([*words, "--engine", "python"]) == 2
+        assert f"{scene}: the Python engine takes steps of a fixed grid and lands on no" in capsys.readouterr().err
+
+
+def test_a_python_instance_looks_at_no_guard() -> None:
+    instance = PythonInstance(build_model(build("bouncing_ball").declaration(), Collocated(2)))
+    calls: tuple[Callable[[], Any], ...] = (
+        lambda: instance.do_step(0.0, 0.1),
+        lambda: instance.run(0.0, 0.1, 3),
+        lambda: instance.land(0.0, 0.1, 3),
+    )
+    for call in calls:
+        with pytest.raises(
+            Refusal, match=r"lands on no state events \('floor'\); take --engine native \(NativeInstance\)"
+        ):
+            call()
+    instance.step_exactly(0.0, 1.0)
+    assert instance.x == pytest.approx([1.0 - 9.81 / 2, -9.81], rel=1e-14)  # as if there were no floor
+    with pytest.raises(Refusal, match="lands on no switches"):
+        SwitchedInstance(build_model(build("rectifier").declaration(), Collocated(2)), PythonInstance)

@@ -19,7 +19,6 @@ from phfmu import (
 )
 from phfmu.components.library import build
 from phfmu.engine.record import Grid
-from tests.engines import ENGINES
 from tests.events.stiff_fault import EVENTS, FAULT, STEP, STOP, T_FAULT, exact, network
 from tests.wide import wide
 
@@ -27,13 +26,13 @@ from tests.wide import wide
 AFTER = T_FAULT + 3.5 * STEP
 
 
-def stepper(k=1, engine=NativeInstance, declaration=None):
+def stepper(k=1, declaration=None):
     model = build_model(declaration or network().compose(), Collocated(k))
     if model.modes is None:
-        return Monolithic(model, engine(model))
+        return Monolithic(model, NativeInstance(model))
     from phfmu.engine.switched import stepped
 
-    return Monolithic(model, stepped(model, engine))
+    return Monolithic(model, stepped(model, NativeInstance))
 
 
 def errors(result):
@@ -44,13 +43,12 @@ def errors(result):
     return np.abs(result.column("bus.i_fault")[on] - FAULT * found[:, 1]).max(), abs(float(note.split()[2]) - at)
 
 
-@pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("k", wide([1, 2, 3], 1))
-def test_a_fault_of_2_us_and_a_limit_in_one_scene(engine, k):
+def test_a_fault_of_2_us_and_a_limit_in_one_scene(k):
     """The fault's current is 5.1 kA at most; without damping it is off by 4.8, 1.3 and 0.2 kA (orders 2, 4, 6), and
     the exciter is at its limit 9 us too late."""
-    ringing = run(stepper(k, engine), Options(stop=STOP, step=STEP, events=EVENTS))
-    damped = run(stepper(k, engine), Options(stop=STOP, step=STEP, events=EVENTS, restart=2))
+    ringing = run(stepper(k), Options(stop=STOP, step=STEP, events=EVENTS))
+    damped = run(stepper(k), Options(stop=STOP, step=STEP, events=EVENTS, restart=2))
     rings, late = errors(ringing)
     error, time = errors(damped)
     assert rings > {1: 4000, 2: 1000, 3: 150}[k] and late > 8e-6
@@ -73,17 +71,16 @@ def test_a_tolerance_and_restarts_go_with_events_too():
     assert damped.ledger.summary().closed
 
 
-@pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize(
     "name", wide(["hard_stop", "rectifier", "breaker_opening", "bouncing_ball"], "breaker_opening", "bouncing_ball")
 )
-def test_scenes_take_damped_steps_after_each_event(name, engine):
+def test_scenes_take_damped_steps_after_each_event(name):
     """Ledger closed, events at the same times as without damping, as far as the steps resolve them."""
     scene = build(name)
     stop = min(scene.stop, 2.0)
     options = {"stop": stop, "step": scene.step, "events": scene.events}
-    plain = run(stepper(2, engine, scene.declaration()), Options(**options))
-    damped = run(stepper(2, engine, scene.declaration()), Options(**options, restart=2))
+    plain = run(stepper(2, scene.declaration()), Options(**options))
+    damped = run(stepper(2, scene.declaration()), Options(**options, restart=2))
     times = [[float(n.split()[2]) for n in r.notes if n.startswith("t =")] for r in (plain, damped)]
     assert len(times[0]) == len(times[1]) > 0
     assert np.allclose(times[0], times[1], rtol=0, atol=0.02 * scene.step)
@@ -91,19 +88,10 @@ def test_scenes_take_damped_steps_after_each_event(name, engine):
     assert not any("energy-exact scheme" in n for n in damped.notes)
 
 
-def test_engines_agree_to_rounding():
-    rows = [run(stepper(1, e), Options(stop=STOP, step=STEP, events=EVENTS, restart=2)) for e in ENGINES]
-    assert np.array_equal(rows[0].time.shape, rows[1].time.shape)
-    for name in ("source.flux", "bus.q", "exciter.E", "bus.i_fault"):
-        a, b = (r.column(name) for r in rows)
-        assert np.abs(a - b).max() <= 1e-12 * np.abs(a).max()
-
-
-@pytest.mark.parametrize("engine", ENGINES)
-def test_landing_pauses_behind_the_events_of_one_time(engine):
+def test_landing_pauses_behind_the_events_of_one_time():
     """What is landed up to an event, and on from there, is what is landed at once."""
     scene = build("rectifier")
-    whole, parts = stepper(1, engine, scene.declaration()), stepper(1, engine, scene.declaration())
+    whole, parts = stepper(1, scene.declaration()), stepper(1, scene.declaration())
     for s in (whole, parts):
         s.instance.prepare(scene.step)
     ends = [(float(p[0][-1] + p[1][-1]) if p[2] is not None else 0.0) for p in whole.land(0.0, scene.step, 20)]

@@ -24,7 +24,6 @@ from phfmu import (
     Network,
     Options,
     Port,
-    PythonInstance,
     StateEvent,
     build_model,
     damping,
@@ -41,10 +40,9 @@ from phfmu.components.mechanical.contacts import bumper
 from phfmu.components.mechanical.translational import mass
 from phfmu.network.interface.shared_jumps import SharedJumps
 from phfmu.outcome.status import EventRefused
-from tests.engines import ENGINES
 from tests.wide import wide
 
-CASES = wide([(k, e) for k in (1, 2, 3) for e in ENGINES], (1, PythonInstance), (2, NativeInstance))
+CASES = wide((1, 2, 3), 1, 2)
 
 
 def ball(m: float, e: float, gap: float, law: Any = "unilateral", most: float = np.inf, v: float = -1.0) -> PHDAE:
@@ -71,13 +69,13 @@ def linked(*bodies: PHDAE) -> Network:
     return net
 
 
-def both(net: Network, k: int, engine: Any, options: Options) -> tuple[Any, Any]:
+def both(net: Network, k: int, options: Options) -> tuple[Any, Any]:
     """The run of the composed model, and of its members stepped apart."""
     composed = build_model(net.compose(), Collocated(k))
     models = {n: build_model(d, Collocated(k)) for n, d in net.declared.items()}
-    apart = Coupled(net, [EngineMember(n, m, engine(m)) for n, m in models.items()])
+    apart = Coupled(net, [EngineMember(n, m, NativeInstance(m)) for n, m in models.items()])
     assert apart.lands
-    return run(Monolithic(composed, engine(composed)), options), run(apart, options)
+    return run(Monolithic(composed, NativeInstance(composed)), options), run(apart, options)
 
 
 def lost(result: Any) -> dict[str, float]:
@@ -96,11 +94,11 @@ def assert_same(net: Network, whole: Any, apart: Any, tol: float = 1e-12) -> Non
     assert told.closed and other.closed and told.events == other.events
 
 
-@pytest.mark.parametrize(("k", "engine"), CASES)
-def test_a_body_throws_back_what_is_linked_to_it(k: int, engine: Any) -> None:
+@pytest.mark.parametrize("k", CASES)
+def test_a_body_throws_back_what_is_linked_to_it(k: int) -> None:
     """Two bodies of 2 and 1 kg: (1 - e^2)/2 3 kg v^2 is lost, each goes on with -e v."""
     net = linked(ball(2.0, 0.5, 0.33), mass(1.0, k=3.0, d=0.4, v=-1.0))
-    whole, apart = both(net, k, engine, Options(stop=1.0, step=0.1))
+    whole, apart = both(net, k, Options(stop=1.0, step=0.1))
     assert_same(net, whole, apart)
     at = int(np.flatnonzero(np.diff(apart.time) == 0)[0])
     v = apart.column("b0.v")[at]
@@ -108,8 +106,8 @@ def test_a_body_throws_back_what_is_linked_to_it(k: int, engine: Any) -> None:
     assert lost(apart) == pytest.approx({"b0": 0.75 * v**2, "b1": 0.375 * v**2}, rel=1e-13)
 
 
-@pytest.mark.parametrize(("k", "engine"), CASES)
-def test_feet_of_several_members_meet_walls_at_once(k: int, engine: Any) -> None:
+@pytest.mark.parametrize("k", CASES)
+def test_feet_of_several_members_meet_walls_at_once(k: int) -> None:
     """A beam whose two feet, of other members and restitutions, come down at one instant: contacts push only."""
     v, w = state("v", unit="m/s", start=-1.0), state("w", unit="rad/s")
     ports = [Port(n, TRANSLATIONAL, "effort", {v: 1.0, w: r}) for n, r in (("left", -0.4), ("right", 0.4))]
@@ -126,7 +124,7 @@ def test_feet_of_several_members_meet_walls_at_once(k: int, engine: Any) -> None
     for side, e in (("left", 0.2), ("right", 0.9)):
         net.add(side, ball(0.3, e, 0.33))
         net.junction(f"at_{side}", [f"{side}.flange", f"beam.{side}"], kind="1")
-    whole, apart = both(net, k, engine, Options(stop=0.7, step=0.1))
+    whole, apart = both(net, k, Options(stop=0.7, step=0.1))
     assert_same(net, whole, apart)
     assert len(apart.notes) == 1 and "left.hits, right.hits" in apart.notes[0]
     at = int(np.flatnonzero(np.diff(apart.time) == 0)[0])
@@ -134,8 +132,8 @@ def test_feet_of_several_members_meet_walls_at_once(k: int, engine: Any) -> None
     assert after == pytest.approx([-0.2 * before[0], -0.9 * before[1]], rel=1e-13)
 
 
-@pytest.mark.parametrize(("k", "engine"), CASES)
-def test_a_pole_that_is_forced_open_stops_branches_of_other_members(k: int, engine: Any) -> None:
+@pytest.mark.parametrize("k", CASES)
+def test_a_pole_that_is_forced_open_stops_branches_of_other_members(k: int) -> None:
     """At a node of inductors the current of the line is that of two branches, of 20 and 30 mH: what goes round in them stays."""
     start, L = (3.0, 1.0, 2.0), (0.01, 0.02, 0.03)
     net = Network("inductors")
@@ -144,12 +142,12 @@ def test_a_pole_that_is_forced_open_stops_branches_of_other_members(k: int, engi
         net.add(f"coil{n}", rl_branch(0.3, L[n], size=1, i0=start[i]))
     net.junction("node", ["line.b", "coil1.terminal", "coil2.terminal"])
     event = (Event(0.013, "line.command", 2.0),)
-    whole, apart = both(net, k, engine, Options(stop=0.02, step=2e-3, events=event))
+    whole, apart = both(net, k, Options(stop=0.02, step=2e-3, events=event))
     assert_same(net, whole, apart)
 
 
-@pytest.mark.parametrize(("k", "engine"), CASES)
-def test_a_bumper_comes_to_rest_with_what_is_linked_to_it_and_leaves(k: int, engine: Any) -> None:
+@pytest.mark.parametrize("k", CASES)
+def test_a_bumper_comes_to_rest_with_what_is_linked_to_it_and_leaves(k: int) -> None:
     """Its guard reads the force of the link: a push of 5 N that turns at 2 s; then 3 kg v' = 2.5 N/s (t - 2 s)."""
     q, v = state("q", unit="m"), state("v", unit="m/s", start=-1.0)
     flange, wind = (
@@ -162,7 +160,7 @@ def test_a_bumper_comes_to_rest_with_what_is_linked_to_it_and_leaves(k: int, eng
     net.add("hit", bumper(2.0, e=0.3, gap=0.2, v=-1.0))
     net.add("body", body)
     net.junction("link", ["hit.flange", "body.flange"], kind="1")
-    whole, apart = both(net, k, engine, Options(stop=2.6, step=0.1))
+    whole, apart = both(net, k, Options(stop=2.6, step=0.1))
     assert_same(net, whole, apart)
     assert "comes to rest" in " ".join(apart.notes) and "leaves" in apart.notes[-1]
     assert f"t = {float(apart.notes[-1].split()[2]):.6g}" == "t = 2"
@@ -173,7 +171,7 @@ def test_a_jump_that_is_refused_leaves_all_members_where_the_step_ended() -> Non
     """It names the network, the event and what it allows; no member has moved."""
     net = linked(ball(2.0, 0.5, 0.33, most=0.1), mass(1.0, d=0.4, v=-1.0))
     models = {n: build_model(d) for n, d in net.declared.items()}
-    members: list[Any] = [EngineMember(n, m, PythonInstance(m)) for n, m in models.items()]
+    members: list[Any] = [EngineMember(n, m, NativeInstance(m)) for n, m in models.items()]
     with pytest.raises(EventRefused, match=r"linked at t = 0.33.*'hits' would jump with .* more than its most = 0.1"):
         run(Coupled(net, members), Options(stop=0.7, step=0.1))
     x = [m.instance.x for m in members]
@@ -189,7 +187,7 @@ def test_a_jump_of_its_own_is_not_asked_of_others() -> None:
         if not kind:
             net.add("b0", hit)
             net.add("b1", other)
-        joined = Coupled(net, [EngineMember(n, m, PythonInstance(m)) for n, m in models.items()]).joined
+        joined = Coupled(net, [EngineMember(n, m, NativeInstance(m)) for n, m in models.items()]).joined
         assert SharedJumps(joined).of == shared
 
 

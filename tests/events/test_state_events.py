@@ -17,10 +17,10 @@ from phfmu import (
     Guard,
     Jump,
     Monolithic,
+    NativeInstance,
     Network,
     Options,
     Port,
-    PythonInstance,
     StateEvent,
     SystemTransformation,
     build_model,
@@ -37,7 +37,6 @@ from phfmu.components.library import build
 from phfmu.components.mechanical.translational import spring
 from phfmu.engine.build.codegen import kernel_table
 from phfmu.engine.model import kernels
-from tests.wide import wide
 
 Q, P = state("q", unit="m", start=1.0), state("p", unit="kg.m/s", start=-3.0)
 M, K = parameter("m", 1.0, unit="kg"), parameter("k", 1.0, unit="N/m")
@@ -125,7 +124,7 @@ def test_events_of_a_network_carry_the_names_of_their_members(tmp_path: Path):
     assert declaration.modes == ["body.w[2]"]
     model = build_model(declaration)
     with AuditWriter(tmp_path / "a.parquet") as sink:
-        result = run(Monolithic(model, PythonInstance(model)), Options(stop=2.0, step=0.05, sink=sink))
+        result = run(Monolithic(model, NativeInstance(model)), Options(stop=2.0, step=0.05, sink=sink))
     assert result.ledger.summary().closed
     mode = result.column("body.w[2]")
     assert set(mode) == {0.0, 2.0} and mode[-1] == 2.0
@@ -142,7 +141,7 @@ def test_events_of_a_network_carry_the_names_of_their_members(tmp_path: Path):
 def test_steps_by_the_energy_of_junctions_are_refused():
     model = build_model(body())
     with pytest.raises(ValueError, match="--ecco does not go with state events"):
-        run(Monolithic(model, PythonInstance(model)), Options(stop=1.0, step=0.1, ecco=1e-3))
+        run(Monolithic(model, NativeInstance(model)), Options(stop=1.0, step=0.1, ecco=1e-3))
 
 
 def test_other_variables_are_refused():
@@ -154,7 +153,7 @@ def test_other_variables_are_refused():
 def test_an_instance_without_state_events_says_so():
     model = build_model(replace(body(), state_events=()))
     with pytest.raises(ValueError, match="has no state events: use run"):
-        PythonInstance(model).land(0.0, 0.1, 1)
+        NativeInstance(model).land(0.0, 0.1, 1)
 
 
 def test_what_has_no_guard_pays_nothing():
@@ -169,7 +168,7 @@ def test_what_has_no_guard_pays_nothing():
 
 
 def test_run_prints_the_bounces(capsys):
-    assert main(["run", "bouncing_ball", "--engine", "python", "--stop", "2"]) == 0
+    assert main(["run", "bouncing_ball", "--stop", "2"]) == 0
     out = capsys.readouterr().out
     assert "t = 0.451523640986 s: floor, lost 3.5316 J" in out and "events: 3 state" in out
 
@@ -192,11 +191,10 @@ def endless():
 """
 
 
-@pytest.mark.parametrize("engine", wide(["python", "native"], "native"))
-def test_a_refused_event_ends_a_run_with_what_was_before_it(engine, tmp_path: Path, monkeypatch, capsys):
+def test_a_refused_event_ends_a_run_with_what_was_before_it(tmp_path: Path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "models.py").write_text(ENDLESS)
-    run_it = ["run", "models.py:endless", "--stop", "5", "--step", "0.02", "--engine", engine, "--audit", "a.parquet"]
+    run_it = ["run", "models.py:endless", "--stop", "5", "--step", "0.02", "--audit", "a.parquet"]
     assert main([*run_it, "--order", "4"]) == 3
     said = capsys.readouterr().err
     assert "100 events fall into one step, the last 'floor'" in said and "StateEvent(rest=..)" in said
@@ -213,7 +211,7 @@ def test_inputs_and_parameters_that_change_meet_events():
     late = StateEvent(Guard("late", W.sx[0] - 3.0, 1), when={"w[2]": 0.0}, sets={"w[2]": 5.0})
     model = build_model(body(late))
     events = (Event(0.13, "flange.force", 1.0), Event(0.21, "w[1]", 4.0))
-    result = run(Monolithic(model, PythonInstance(model)), Options(stop=0.5, step=0.1, events=events))
+    result = run(Monolithic(model, NativeInstance(model)), Options(stop=0.5, step=0.1, events=events))
     mode = result.column("w[2]")
     (at,) = np.flatnonzero(np.diff(mode))
     assert result.time[at + 1] == 0.21 and mode[at + 1] == 5.0

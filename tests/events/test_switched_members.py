@@ -36,19 +36,18 @@ from phfmu.cli import main
 from phfmu.components.control.relay import relay
 from phfmu.network.couplings.apart import Apart
 from phfmu.outcome.status import Status, StepFailure
-from tests.engines import ENGINES
 from tests.events.scenes import BRIDGE_STOP, LA, LD, bridge
 from tests.wide import wide
 
 
-@pytest.mark.parametrize(("engine", "k"), wide([(e, k) for e in ENGINES for k in (2, 3)], (NativeInstance, 3)))
-def test_adaptive_steps_commutate_within_their_tolerance(engine, k):
+@pytest.mark.parametrize("k", wide((2, 3), 3))
+def test_adaptive_steps_commutate_within_their_tolerance(k):
     """Eleven events at their times; the error of currents at the stop follows the tolerance; every joule is booked."""
     times, ia, idc = bridge_by_hand()
     model, errors = build_model(bridge(), Collocated(k)), []
     for rtol in (1e-4, 1e-6):
         result = run(
-            Monolithic(model, SwitchedInstance(model, engine)), Options(stop=BRIDGE_STOP, step=5e-4, rtol=rtol)
+            Monolithic(model, SwitchedInstance(model, NativeInstance)), Options(stop=BRIDGE_STOP, step=5e-4, rtol=rtol)
         )
         summary = result.ledger.summary()
         assert summary.closed and summary.events == {"state": 11}
@@ -91,14 +90,14 @@ def network() -> Network:
     return net
 
 
-def instance_of(model: Any, engine: Any) -> Any:
-    return engine(model) if model.modes is None else SwitchedInstance(model, engine)
+def instance_of(model: Any) -> Any:
+    return NativeInstance(model) if model.modes is None else SwitchedInstance(model, NativeInstance)
 
 
-def apart(engine: Any, k: int = 1) -> Coupled:
+def apart(k: int = 1) -> Coupled:
     net = network()
     models = {n: build_model(d, Collocated(k)) for n, d in net.declared.items()}
-    return Coupled(net, [EngineMember(n, m, instance_of(m, engine)) for n, m in models.items()])
+    return Coupled(net, [EngineMember(n, m, instance_of(m)) for n, m in models.items()])
 
 
 @pytest.fixture(scope="module")
@@ -107,14 +106,14 @@ def reference() -> Any:
     return run(Monolithic(model, SwitchedInstance(model, NativeInstance)), Options(stop=0.02, step=H))
 
 
-@pytest.mark.parametrize(("engine", "k"), wide([(e, k) for e in ENGINES for k in (1, 2)], (NativeInstance, 1)))
-def test_members_with_switches_keep_order_two(reference, engine, k):
+@pytest.mark.parametrize("k", wide((1, 2), 1))
+def test_members_with_switches_keep_order_two(reference, k):
     """Slope 2 in the states, ledgers and junctions closed; a guard that reads a held input is zero a little early or late."""
     errors = []
     times = [float(note.split()[2]) for note in reference.notes if note.startswith("t =")]
     assert len(times) == 3
     for h in (H, H / 4):
-        result = run(apart(engine, k), Options(stop=0.02, step=h))
+        result = run(apart(k), Options(stop=0.02, step=h))
         summary = result.ledger.summary()
         assert summary.closed and summary.events == {"state": len(times)}
         notes = [note for note in result.notes if note.startswith("t =")]
@@ -125,16 +124,10 @@ def test_members_with_switches_keep_order_two(reference, engine, k):
     assert np.log2(errors[0] / errors[1]) / 2 >= 1.8
 
 
-def test_engines_change_modes_alike_in_members():
-    one, two = (run(apart(engine), Options(stop=0.004, step=H)) for engine in ENGINES)
-    assert one.column("load.q") == pytest.approx(two.column("load.q"), abs=1e-13 * E)
-
-
-@pytest.mark.parametrize("engine", ENGINES)
-def test_a_step_with_a_change_of_mode_is_told_as_one_and_taken_back_bitwise(engine):
+def test_a_step_with_a_change_of_mode_is_told_as_one_and_taken_back_bitwise():
     """Its books are those of its parts, h u^T y is what the port supplied, and after a rollback it gives the same bits."""
     model = build_model(branch(), Collocated(2))
-    instance = SwitchedInstance(model, engine)
+    instance = SwitchedInstance(model, NativeInstance)
     h, step, seen = 1e-3, 0, 0
     while seen < 3:
         t, before = step * h, instance.signal("H").sum()
@@ -179,16 +172,15 @@ def test_what_members_with_switches_exchange_is_told() -> None:
 
 def test_a_bridge_between_currents_that_are_given_is_refused_as_a_member_by_name(capsys):
     """Where members step in turn, both sides of its switches are inputs; composed and with newton it runs."""
-    assert main(["run", "rectifier", "--coupling", "gauss-seidel", "--engine", "python"]) == 2
+    assert main(["run", "rectifier", "--coupling", "gauss-seidel"]) == 2
     err = capsys.readouterr().err
     assert "bridge" in err and "leave out --coupling, so that the network is composed" in err
     assert "or take --coupling newton" in err
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-def test_a_sliver_moves_time_and_nothing_else_after_a_change_of_mode(engine):
+def test_a_sliver_moves_time_and_nothing_else_after_a_change_of_mode():
     """Nor does it look for modes; inputs at the nodes of a step are not held, which a step with guards takes only."""
-    instance = SwitchedInstance(build_model(branch(), Collocated(2)), engine)
+    instance = SwitchedInstance(build_model(branch(), Collocated(2)), NativeInstance)
     h, step = 1e-3, 0
     while not any(e.switched for e in instance.happened) or step < 2:
         instance.set_input([-0.4 * E * np.sin(70.0 * step * h)])
@@ -207,5 +199,5 @@ def test_a_sliver_moves_time_and_nothing_else_after_a_change_of_mode(engine):
     assert refused.value.status is Status.ARGUMENT
     instance.step_exactly(t, h)
     assert h / 2 * instance.node_output()[:, 0] @ [1.0, 2.0] == pytest.approx(instance.ledger()["pairs"][0], rel=1e-13)
-    instance.set_node_inputs([[1.5], [1.5]])
+    instance.set_input([1.5])
     instance.do_step(t + h, h)

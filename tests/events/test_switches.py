@@ -22,7 +22,6 @@ from phfmu import (
     Network,
     Options,
     Port,
-    PythonInstance,
     SwitchedInstance,
     algebraic,
     build_model,
@@ -44,16 +43,15 @@ from phfmu.engine.native.compiled import made_of
 from phfmu.events import comply, switch_system
 from phfmu.outcome.limits import defined
 from phfmu.outcome.status import EventRefused
-from tests.engines import ENGINES
 from tests.events.scenes import BRIDGE_STOP, LA, LD, bridge, lifted
 from tests.wide import slow, wide
 
 W = 2 * pi * 50
 
 
-def stepped(model, engine, n: int):
+def stepped(model, n: int):
     """Currents, times of events, closure over H, modes taken."""
-    instance = SwitchedInstance(model, engine)
+    instance = SwitchedInstance(model, NativeInstance)
     before, total, happened, modes = instance.signal("H").sum(), 0.0, [], []
     sides = dict(zip(("pair1", "pair2"), instance.mode, strict=True))
     for part in instance.land(0.0, BRIDGE_STOP / n, n, record=("dissipated", "supplied")):
@@ -75,22 +73,17 @@ def bridges() -> dict:
     return {k: build_model(bridge(), Collocated(k)) for k in (1, 2, 3)}
 
 
-CASES = [
-    slow((PythonInstance, 2, 100, 1e-9)),
-    slow((NativeInstance, 1, 200, 1e-6)),
-    slow((NativeInstance, 2, 100, 1e-9)),
-    (NativeInstance, 3, 100, 1e-12),
-]
+CASES = [slow((1, 200, 1e-6)), slow((2, 100, 1e-9)), (3, 100, 1e-12)]
 
 
-@pytest.mark.parametrize(("engine", "k", "n", "time_error"), CASES)
-def test_a_bridge_commutates_with_order_2k(bridges, engine, k, n, time_error):
+@pytest.mark.parametrize(("k", "n", "time_error"), CASES)
+def test_a_bridge_commutates_with_order_2k(bridges, k, n, time_error):
     """11 events; overlap, not all off, between the pairs."""
     times, ia, idc = bridge_by_hand(BRIDGE_STOP)
     assert len(times) == 11
     errors = []
     for steps in (n // 2, n):
-        i, found, closure, modes = stepped(bridges[k], engine, steps)
+        i, found, closure, modes = stepped(bridges[k], steps)
         errors.append(np.hypot(*(i - [ia, idc])))
         assert len(found) == 11 and abs(closure) <= 1e-14
         assert modes[1::2] == [(0, 0)] * 5 and set(modes) == {(0, 0), (0, 1), (1, 0)}
@@ -98,15 +91,10 @@ def test_a_bridge_commutates_with_order_2k(bridges, engine, k, n, time_error):
     assert np.log2(errors[0] / errors[1]) == pytest.approx(2 * k, abs=0.2)
 
 
-def test_engines_change_modes_alike(bridges):
-    a, b = (stepped(bridges[2], engine, 40) for engine in ENGINES)
-    assert a[0] == pytest.approx(b[0], abs=1e-12) and a[1] == pytest.approx(b[1], abs=1e-15) and a[3] == b[3]
-
-
 def test_compiled_code_changes_modes_without_returning(bridges, monkeypatch):
     """11 changes of modes in one call, once the modes are known; Python decides none of them."""
     monkeypatch.setattr(SwitchedInstance, "change", None)
-    stepped(bridges[3], NativeInstance, 50)
+    stepped(bridges[3], 50)
     instance, calls = SwitchedInstance(bridges[3], NativeInstance), []
     land = instance.native._made.lib.ph_modes_land
     monkeypatch.setattr(instance.native._made.lib, "ph_modes_land", lambda *a: calls.append(1) or land(*a))
@@ -157,8 +145,7 @@ def inductor(L: float, i: float, R: float = 0.0) -> PHDAE:
     )
 
 
-@pytest.mark.parametrize("engine", wide(ENGINES, NativeInstance))
-def test_a_half_wave_rectifier_in_a_network(engine):
+def test_a_half_wave_rectifier_in_a_network():
     """Ideal source, diode and capacitor, with nothing between them: the current stops at tan(w t) = -w R C.
 
     Collocation holds the source and the capacitor together at its nodes: order 2 for k = 1 and 2.
@@ -174,7 +161,7 @@ def test_a_half_wave_rectifier_in_a_network(engine):
     (warned,) = check(declaration, strict=True)
     assert warned.rule == "order" and "'load.q' is tied to a source" in warned.reason
     model = build_model(declaration, Collocated(2))
-    result = run(Monolithic(model, SwitchedInstance(model, engine)), Options(stop=0.05, step=5e-5))
+    result = run(Monolithic(model, SwitchedInstance(model, NativeInstance)), Options(stop=0.05, step=5e-5))
     assert result.ledger.summary().closed
     stops = (pi - atan(W * R * C)) / W
     v = V * sin(W * stops)
@@ -195,10 +182,9 @@ def pair_of_capacitors() -> Network:
     return net
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-def test_joined_capacitors_lose_what_the_formula_says(engine):
+def test_joined_capacitors_lose_what_the_formula_says():
     model = build_model(pair_of_capacitors().compose(), Collocated(2))
-    instance = SwitchedInstance(model, engine)
+    instance = SwitchedInstance(model, NativeInstance)
     p = instance.parameters
     p[[n for v in model.declaration.parameters for n in v.names()].index("switch.conducts")] = 1.0
     instance.set_parameters(p)
@@ -226,30 +212,28 @@ def cut(force: bool, beside: bool) -> PHDAE:
     return net.compose()
 
 
-def opened(declaration: PHDAE, engine) -> object:
+def opened(declaration: PHDAE) -> object:
     model = build_model(declaration, Collocated(2))
     options = Options(stop=2e-3, step=2e-4, events=(Event(1e-3, "switch.conducts", 0.0),))
-    return run(Monolithic(model, SwitchedInstance(model, engine)), options)
+    return run(Monolithic(model, SwitchedInstance(model, NativeInstance)), options)
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-def test_opening_a_current_is_refused_booked_or_taken_over(engine):
+def test_opening_a_current_is_refused_booked_or_taken_over():
     def current(t):
         return 25.0 + (3.0 - 25.0) * exp(-t * 0.2 / 0.1)
 
     with pytest.raises(EventRefused, match="'switch.switch' would jump"):
-        opened(cut(force=False, beside=False), engine)
-    forced = opened(cut(force=True, beside=False), engine)
+        opened(cut(force=False, beside=False))
+    forced = opened(cut(force=True, beside=False))
     assert forced.ledger.summary().closed
     assert f"lost {0.05 * current(1e-3) ** 2:.6g}"[:12] in forced.notes[0]
     assert abs(forced.column("L.flux")[-1]) < 1e-50
-    taken = opened(cut(force=False, beside=True), engine)
+    taken = opened(cut(force=False, beside=True))
     assert taken.ledger.summary().closed and "diode.diode on" in taken.notes[0]
     assert taken.column("L.flux")[-1] / 0.1 == pytest.approx((current(1e-3) + 5.0) * exp(-1e-3 * 2.0) - 5.0, rel=1e-11)
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-def test_parallel_diodes_share_their_current(engine):
+def test_parallel_diodes_share_their_current():
     """Dependent contacts: the least norm."""
     net = Network("parallel")
     net.add("source", voltage_source(10 * ca.sin(W * time), v=10.0, i=1.0))
@@ -259,13 +243,12 @@ def test_parallel_diodes_share_their_current(engine):
     net.junction("ac", ["source.terminal", "d1.a", "d2.a"])
     net.junction("dc", ["load.terminal", "d1.b", "d2.b"])
     model = build_model(net.compose(), Collocated(2))
-    result = run(Monolithic(model, SwitchedInstance(model, engine)), Options(stop=0.0199, step=5e-4))
+    result = run(Monolithic(model, SwitchedInstance(model, NativeInstance)), Options(stop=0.0199, step=5e-4))
     one, two = result.column("d1.i_end"), result.column("d2.i_end")
     assert one == pytest.approx(two, abs=1e-12) and one.max() > 0.5
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-def test_a_thyristor_waits_for_its_gate(engine):
+def test_a_thyristor_waits_for_its_gate():
     net = Network("phase_control")
     net.add("source", voltage_source(10 * ca.sin(W * time), v=10.0, i=1.0))
     net.add("thyristor", thyristor(i=1.0, v=10.0))
@@ -275,7 +258,7 @@ def test_a_thyristor_waits_for_its_gate(engine):
     model = build_model(net.compose(), Collocated(3))
     events = (Event(0.004, "thyristor.gate", 1.0), Event(0.0045, "thyristor.gate", 0.0))
     options = Options(stop=0.0275, step=2.5e-4, events=events)
-    result = run(Monolithic(model, SwitchedInstance(model, engine)), options)
+    result = run(Monolithic(model, SwitchedInstance(model, NativeInstance)), options)
     on = np.flatnonzero(result.column("thyristor.conducts") > 0)
     assert result.time[on[0]] == 0.004  # forward voltage from 0 on, and from 0.02 on without a gate
     phasor = 10 / (2 + 1j * W * 5e-3)
@@ -318,10 +301,9 @@ def test_units_of_a_switch_are_checked():
     assert any("diode.closes" in p.entry and p.rule == "dimension" for p in problems)
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-def test_an_instance_of_one_mode_is_refused(bridges, engine):
-    with pytest.raises(ValueError, match=r"SwitchedInstance\(model, PythonInstance\)"):
-        engine(bridges[1])
+def test_an_instance_of_one_mode_is_refused(bridges):
+    with pytest.raises(ValueError, match=r"SwitchedInstance\(model, NativeInstance\)"):
+        NativeInstance(bridges[1])
 
 
 G, F0, OMEGA = 9.81, 15.0, 8.0
@@ -335,15 +317,15 @@ def flight(t: float) -> float:
 
 
 @pytest.mark.parametrize(
-    ("engine", "k", "n"),
-    wide(((e, k, 40) for e in ENGINES for k in (1, 2, 3)), (PythonInstance, 2, 40), (NativeInstance, 3, 40)),
+    ("k", "n"),
+    wide(((k, 40) for k in (1, 2, 3)), (2, 40), (3, 40)),
 )
-def test_a_mass_lifts_off_its_floor_and_lands(engine, k, n):
+def test_a_mass_lifts_off_its_floor_and_lands(k, n):
     """Lift-off where the force falls to zero, landing with its whole speed lost; times of order 2k."""
     lands = brentq(flight, LIFT + 0.05, LIFT + 0.6, xtol=1e-16, rtol=9e-16)
     model, errors = build_model(lifted(F0 * ca.sin(OMEGA * time), G), Collocated(k)), []
     for steps in (n // 2, n):
-        instance = SwitchedInstance(model, engine)
+        instance = SwitchedInstance(model, NativeInstance)
         parts = list(instance.land(0.0, (lands + 0.02) / steps, steps, record=("supplied",)))
         first, second = (part.happened for part in parts if part.happened)
         supplied = sum(part.rows["supplied"].sum() for part in parts if part.rows)

@@ -20,7 +20,6 @@ from phfmu import (
     Monolithic,
     NativeInstance,
     Options,
-    PythonInstance,
     StateEvent,
     SwitchedInstance,
     build_model,
@@ -35,11 +34,9 @@ from phfmu.components.scenes.buck import buck
 from phfmu.components.scenes.rectifier import rectifier
 from tests.events.exact_buck import F, exact
 
-ENGINES = {"native": NativeInstance, "python": PythonInstance}
 
-
-def stepped(model: Any, engine: str, h: float) -> Any:
-    made = SwitchedInstance(model, ENGINES[engine])
+def stepped(model: Any, h: float) -> Any:
+    made = SwitchedInstance(model, NativeInstance)
     made.prepare(h)
     made.initialise()
     return made
@@ -48,22 +45,14 @@ def stepped(model: Any, engine: str, h: float) -> Any:
 SLOW = pytest.mark.slow
 
 
-@pytest.mark.parametrize(
-    ("engine", "stop", "k"),
-    [
-        ("native", 0.03, 1),
-        ("native", 0.03, 3),
-        pytest.param("native", 0.03, 2, marks=SLOW),
-        *(pytest.param("python", 6e-3, k, marks=SLOW) for k in (1, 2, 3)),
-    ],
-)
-def test_a_converter_runs_on_for_hundreds_of_periods(engine: str, stop: float, k: int) -> None:
+@pytest.mark.parametrize(("stop", "k"), [(0.03, 1), (0.03, 3), pytest.param(0.03, 2, marks=SLOW)])
+def test_a_converter_runs_on_for_hundreds_of_periods(stop: float, k: int) -> None:
     """Every period has both events; the state is that of the exact stretches, of the order of the scheme."""
     scene = buck()
     model = build_model(scene.declaration(), Collocated(k))
     whole, errors = exact(stop, lambda t: 0.6 if t > 1.5e-3 - 1e-9 else 0.4), []
     for h in (5e-6, 2.5e-6):
-        made = stepped(model, engine, h)
+        made = stepped(model, h)
         result = run(Monolithic(model, made), Options(stop=stop, step=h, events=scene.events))
         begins = [n for n in result.notes if "chopper.begins" in n]
         ends = [n for n in result.notes if "chopper.ends" in n]
@@ -73,22 +62,11 @@ def test_a_converter_runs_on_for_hundreds_of_periods(engine: str, stop: float, k
     assert errors[0] / errors[1] > 0.8 * 4**k or errors[0] < 1e-12
 
 
-@pytest.mark.parametrize(
-    ("engine", "h"),
-    [
-        *(("native", h) for h in (1e-6, 3e-6, 5e-6, 1e-4)),
-        ("python", 5e-6),
-        *(pytest.param("python", h, marks=SLOW) for h in (1e-6, 3e-6, 1e-4)),
-    ],
-)
-def test_summed_clocks_come_beside_every_instant_and_lose_none(engine: str, h: float) -> None:
+@pytest.mark.parametrize("h", (1e-6, 3e-6, 5e-6, 1e-4))
+def test_summed_clocks_come_beside_every_instant_and_lose_none(h: float) -> None:
     """t += h ends 1.6e-18 s before or behind an instant of switching: that instant is there once."""
     model = build_model(buck(later=None).declaration(), Collocated(2))
-    made, parts, stop = (
-        stepped(model, engine, 5e-6),
-        ceil(h / 5e-6 - 1e-9),
-        6e-3 if h > 1e-6 and engine == "native" else 3e-3,
-    )
+    made, parts, stop = stepped(model, 5e-6), ceil(h / 5e-6 - 1e-9), 6e-3 if h > 1e-6 else 3e-3
     t, found = 0.0, list[tuple[float, str]]()
     while t < stop - 0.3 / F:
         made.do_step(t, h, parts)
@@ -106,7 +84,7 @@ def test_light_load_blocks_the_diode_at_the_zeros_of_its_current() -> None:
     """Discontinuous conduction: three events a period, at instants and at zeros of the state."""
     scene = buck(R=100.0, later=None)
     model = build_model(scene.declaration(), Collocated(3))
-    made = stepped(model, "native", 2.5e-6)
+    made = stepped(model, 2.5e-6)
     result = run(Monolithic(model, made), Options(stop=0.03, step=2.5e-6))
     assert made.x == pytest.approx(exact(0.03, lambda _: 0.4, 100.0), rel=1e-9, abs=1e-13)
     opened = [n for n in result.notes if "diode.opens" in n]
@@ -133,12 +111,11 @@ def pendulum_with_gate(late: float) -> PHDAE:
     )
 
 
-@pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("after", [0.0, 1000.0])
-def test_opposite_guards_of_one_function_take_turns(engine: str, after: float) -> None:
+def test_opposite_guards_of_one_function_take_turns(after: float) -> None:
     """They are zero together; which side they are on there is rounding, that of the time at t = 1000 s too."""
     model = build_model(pendulum_with_gate(after), Collocated(1))
-    made = ENGINES[engine](model)
+    made = NativeInstance(model)
     made.set_x(after, [1.0, 0.0])
     h, n = 1e-3, 400
     t, found = after, list[float]()
@@ -151,13 +128,12 @@ def test_opposite_guards_of_one_function_take_turns(engine: str, after: float) -
     assert len(found) == 40
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-def test_steps_from_a_state_know_nothing_of_steps_before_it(engine: str) -> None:
+def test_steps_from_a_state_know_nothing_of_steps_before_it() -> None:
     """From 40 units of rounding before an instant on: the same parts, whatever was landed on before."""
     model = build_model(pendulum_with_gate(1000.0), Collocated(1))
     t, found = 1000.005 - 40 * np.spacing(1000.0), list[Any]()
     for before in (0, 3, 7):
-        made = ENGINES[engine](model)
+        made = NativeInstance(model)
         made.set_x(1000.0, [1.0, 0.0])
         start = made.get_state()
         if before:
@@ -171,16 +147,15 @@ def test_steps_from_a_state_know_nothing_of_steps_before_it(engine: str) -> None
     assert found[0][1] == pytest.approx([1000.005], rel=1e-15)
 
 
-@pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize(("scene", "h", "ends"), [("buck", 1e-5, 2), ("rectifier", 1e-3, 0)])
-def test_a_state_saved_at_an_instant_gives_the_same_bits(engine: str, scene: str, h: float, ends: int) -> None:
+def test_a_state_saved_at_an_instant_gives_the_same_bits(scene: str, h: float, ends: int) -> None:
     """Communication steps, `ends` of which end at an instant of switching; on to the next events, back, and on again.
 
     Saved at each end, taken back to in the same instance and put into another one that has been elsewhere.
     """
     declaration = (buck(later=None) if scene == "buck" else rectifier()).declaration()
     model = build_model(declaration, Collocated(2))
-    made, other = stepped(model, engine, h / 2), stepped(model, engine, h / 2)
+    made, other = stepped(model, h / 2), stepped(model, h / 2)
     parts, events, at_end = 2, 0, 0
     for i in range(3):
         other.do_step(i * h, h, parts)
@@ -205,11 +180,10 @@ def test_a_state_saved_at_an_instant_gives_the_same_bits(engine: str, scene: str
     assert events > 4 and at_end >= ends
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-def test_what_is_set_beyond_zero_happens_at_once_all_the_same(engine: str) -> None:
+def test_what_is_set_beyond_zero_happens_at_once_all_the_same() -> None:
     """A mode that is set while its guard is far beyond zero: the event happens at the start of the step, once."""
     model = build_model(buck(later=None).declaration(), Collocated(1))
-    made = stepped(model, engine, 5e-6)
+    made = stepped(model, 5e-6)
     for k in range(6):
         made.do_step(k * 5e-6, 5e-6)
     p = made.parameters
@@ -225,7 +199,7 @@ def test_an_event_of_the_scene_at_an_instant_of_switching() -> None:
     """Duty and frequency change exactly where a period begins: one event of each kind, the run goes on."""
     scene = buck(later=None)
     model = build_model(scene.declaration(), Collocated(2))
-    made = stepped(model, "native", 5e-6)
+    made = stepped(model, 5e-6)
     events = tuple(Event(n * 1e-3, "chopper.duty", d) for n, d in enumerate((0.3, 0.7, 0.5, 0.6), 1))
     run(Monolithic(model, made), Options(stop=6e-3, step=5e-6, events=events))
     duties = {0: 0.4, 1: 0.3, 2: 0.7, 3: 0.5, 4: 0.6, 5: 0.6}

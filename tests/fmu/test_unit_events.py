@@ -16,9 +16,9 @@ from phfmu import (
     FMUInstance,
     FMUMember,
     Monolithic,
+    NativeInstance,
     Network,
     Options,
-    PythonInstance,
     Scene,
     StepFailure,
     build_model,
@@ -45,7 +45,7 @@ def pushed() -> Scene:
 
 def reference(events: Any = EVENTS, step: float = 1e-2) -> Any:
     model = build_model(oscillator())
-    return run(Monolithic(model, PythonInstance(model)), Options(stop=0.9, step=step, events=events))
+    return run(Monolithic(model, NativeInstance(model)), Options(stop=0.9, step=step, events=events))
 
 
 @pytest.fixture(scope="module", params=["2.0", "3.0"])
@@ -96,7 +96,7 @@ def test_events_drive_members_that_are_units_wherever_they_fall(tmp_path: Path) 
     net.connect("b.b", "c.flange")
     options = Options(stop=0.2, step=1e-2, events=(Event(0.1234, "b.k", 10.0), Event(0.15, "a.k", 60.0)))
     model = build_model(net.compose())
-    whole = run(Monolithic(model, PythonInstance(model)), options)
+    whole = run(Monolithic(model, NativeInstance(model)), options)
     members = []
     for name, part in net.declared.items():
         (path,) = export(build_model(replace(part, name=name)), tmp_path, ("3.0",), step=1e-2, tunable=["k"])

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from phfmu import Coupled, EngineMember, Monolithic, NativeInstance, Network, Options, PythonInstance, build_model, run
+from phfmu import Coupled, EngineMember, Monolithic, NativeInstance, Network, Options, build_model, run
 from phfmu.cli import main
 from phfmu.components.library import LIBRARY, build
 from phfmu.components.mechanical.translational import mass
@@ -55,7 +55,7 @@ def apart(net: Network, k: int, engine: Any, coupling: str = "newton") -> Couple
     return Coupled(net, members, named_coupling(coupling, net).make)
 
 
-def both(net: Network, k: int, step: float, engine: Any = PythonInstance, **how: Any) -> tuple[Any, Any]:
+def both(net: Network, k: int, step: float, engine: Any = NativeInstance, **how: Any) -> tuple[Any, Any]:
     model = build_model(net.compose(), Collocated(k))
     options = Options(stop=STEPS * step, step=step, **how)
     return run(Monolithic(model, engine(model)), options), run(apart(net, k, engine), options)

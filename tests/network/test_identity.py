@@ -19,14 +19,14 @@ from phfmu import (
     GaussSeidel,
     Jacobi,
     Monolithic,
+    NativeInstance,
     Network,
     Options,
-    PythonInstance,
-    SwitchedInstance,
     build_model,
     run,
 )
 from phfmu.components.library import LIBRARY, SWITCHED, build
+from phfmu.engine.switched import stepped
 from phfmu.network.couplings.newton import Newton
 from phfmu.network.couplings.node_newton import newton
 from phfmu.network.couplings.unconverged import POLICIES
@@ -80,7 +80,7 @@ def models(name: str) -> tuple[Any, dict[str, Any]]:
 
 
 def instance(model: Any) -> Any:
-    return PythonInstance(model) if model.modes is None else SwitchedInstance(model, PythonInstance)
+    return stepped(model, NativeInstance)
 
 
 def stepper(name: str, coupling: str) -> tuple[Any, Any]:
@@ -92,7 +92,8 @@ def stepper(name: str, coupling: str) -> tuple[Any, Any]:
     if coupling.startswith("newton") and scene.system.wires:  # signals at nodes
         parts = {n: build_model(d) for n, d in scene.system.separate().items()}
     members: list[Any] = [EngineMember(n, m, instance(m)) for n, m in parts.items()]
-    return scene, Coupled(scene.system, members, COUPLINGS[coupling])
+    own = ", stopped" in coupling  # the loops in Python, whose iteration is changed
+    return scene, Coupled(scene.system, members, COUPLINGS[coupling], compiled=not own)
 
 
 CASES = [

@@ -157,7 +157,7 @@ def test_state_events_take_the_mean_of_a_step() -> None:
     watched = replace(body, state_events=(ph.StateEvent(ph.Guard("fast", v - 1e3)),))
     data = {"time": [0.0, 1.0], "flange.force": [0.0, 4.0]}
     model = build_model(watched)
-    r = run(Monolithic(model, PythonInstance(model)), Options(stop=1.0, step=0.1), inputs=data, interpolate="linear")
+    r = run(Monolithic(model, NativeInstance(model)), Options(stop=1.0, step=0.1), inputs=data, interpolate="linear")
     assert r.column("v")[-1] == pytest.approx(1.0, abs=1e-14) and r.ledger.summary().closed
     assert any("mean over each step" in n for n in r.notes)
 

@@ -13,7 +13,6 @@ from phfmu import (
     NativeInstance,
     Network,
     Options,
-    PythonInstance,
     build_model,
     run,
 )
@@ -29,7 +28,6 @@ from phfmu.engine.switched import stepped
 from phfmu.network.couplings.apart import Apart
 from phfmu.network.members.node_values import HeldNodes
 from phfmu.schemes.named import named_scheme
-from tests.engines import ENGINES
 from tests.wide import wide
 
 #: scene -> end and step of its runs: with events in them where it has some
@@ -102,21 +100,20 @@ def charger() -> Network:
     return net
 
 
-def apart(net: Network, k: int, engine=NativeInstance) -> Coupled:
+def apart(net: Network, k: int) -> Coupled:
     models = {n: build_model(d, Collocated(k)) for n, d in net.declared.items()}
-    return Coupled(net, [EngineMember(n, m, engine(m)) for n, m in models.items()])
+    return Coupled(net, [EngineMember(n, m, NativeInstance(m)) for n, m in models.items()])
 
 
-@pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("k", wide([2, 3], 2))
 @pytest.mark.parametrize("net", [cradle, charger, lambda: build("buffer").system], ids=["cradle", "charger", "buffer"])
-def test_guards_that_read_what_others_give_keep_the_composed_run(net, k, engine):
+def test_guards_that_read_what_others_give_keep_the_composed_run(net, k):
     """Members land together, by the guards of the composed declaration: 2e-12 instead of 7e-4 of the cradle's motion."""
     net = net()
     stop, h = {"cradle": (2.0, 0.04), "charger": (0.01, 4e-4)}.get(net.name, (2.0, 0.02))
     model = build_model(net.compose(), Collocated(k))
-    whole = run(Monolithic(model, engine(model)), Options(stop=stop, step=h))
-    found = run(apart(net, k, engine), Options(stop=stop, step=h))
+    whole = run(Monolithic(model, NativeInstance(model)), Options(stop=stop, step=h))
+    found = run(apart(net, k), Options(stop=stop, step=h))
     assert len(found.time) == len(whole.time)
     for v in net.compose().states:
         for n in v.names():
@@ -138,7 +135,7 @@ def test_what_is_held_at_bare_nodes_and_beside_units_is_told_as_it_is():
         whole = Apart(net)
         declared = net.separate(whole.holding(lambda _: True)) if net.wires else net.declared
         models = {n: build_model(d, Collocated(2)) for n, d in declared.items()}
-        stepper = Coupled(net, [EngineMember(n, m, stepped(m, PythonInstance)) for n, m in models.items()])
+        stepper = Coupled(net, [EngineMember(n, m, stepped(m, NativeInstance)) for n, m in models.items()])
         assert sorted(held_by(stepper)) == sorted(whole.held), name
 
 

@@ -100,15 +100,14 @@ def test_members_stepped_apart_ring_too_and_have_the_same_remedy():
     assert told(stepper, stop=STOP, step=STEP, events=EVENTS, restart=2) == []
 
 
-@pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("k", [2, 3])
-def test_a_state_event_is_one_for_node_values_too(engine, k):
+def test_a_state_event_is_one_for_node_values_too(k):
     """It comes within a block of steps, whose unknowns an even number of nodes needs."""
     closes = StateEvent(Guard("closes", time - 0.0051, 1), when={"G": 1e-9}, sets={"G": 1.0})
-    first, remedy = told(composed(decay(closes), Collocated(k), engine), stop=0.03, step=1e-3)
+    first, remedy = told(composed(decay(closes), Collocated(k)), stop=0.03, step=1e-3)
     assert first.startswith("ringing after closes at t = 0.0051 s") and "--restart 2" in remedy
     assert ("stay beside" in first) == (k == 2)
-    assert told(composed(decay(closes), Collocated(k), engine), stop=0.03, step=1e-3, restart=2) == []
+    assert told(composed(decay(closes), Collocated(k)), stop=0.03, step=1e-3, restart=2) == []
 
 
 @pytest.mark.parametrize("ratio", [0.1, 1.0, 2.0])
@@ -117,22 +116,21 @@ def test_a_decay_after_a_state_event_that_the_steps_resolve_is_not_told(ratio):
     assert told(composed(decay(closes, t=1e-3 / ratio), Collocated(2)), stop=0.03, step=1e-3) == []
 
 
-def apart(net, k, engine=NativeInstance, **more):
+def apart(net, k, **more):
     models = {n: build_model(d, Collocated(k)) for n, d in net.declared.items()}
-    return Coupled(net, [EngineMember(n, m, engine(m)) for n, m in models.items()], **more)
+    return Coupled(net, [EngineMember(n, m, NativeInstance(m)) for n, m in models.items()], **more)
 
 
-@pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("k", wide([1, 2, 3], 2))
-def test_members_stepped_apart_ring_at_all_orders(engine, k, monkeypatch):
+def test_members_stepped_apart_ring_at_all_orders(k, monkeypatch):
     """Where a composed run is told of it; rows are the same to the bit."""
     options = {"stop": 0.0115, "step": STEP, "events": EVENTS}
-    watched = run(apart(network(), k, engine), Options(**options))
+    watched = run(apart(network(), k), Options(**options))
     first = next(n for n in watched.notes if n.startswith("ringing"))
     assert first.startswith("ringing after bus.G = 1 at t = 0.005 s") and "bus.q by" in first
     assert ("stay beside" in first) == (k == 2)
     monkeypatch.setattr(ringing, "WINDOWS", 0)
-    blind = run(apart(network(), k, engine), Options(**options))
+    blind = run(apart(network(), k), Options(**options))
     assert not any("ring" in n for n in blind.notes)
     assert np.array_equal(watched.values, blind.values)
 

@@ -50,7 +50,7 @@ def test_a_run_marks_its_state_events_as_its_audit_does(tmp_path: Path, monkeypa
     pytest.importorskip("matplotlib")
     monkeypatch.setattr(LiveRecording, "__init__", kept)
     audit = tmp_path / "ball.audit.parquet"
-    words = ["run", "bouncing_ball", "--engine", "python", "--stop", "1.3", "--quiet", "--audit", str(audit)]
+    words = ["run", "bouncing_ball", "--stop", "1.3", "--quiet", "--audit", str(audit)]
     assert main([*words, "--plot", str(tmp_path / "ball.png")]) == 0
     drawn = picture(made[0]).marks
     assert [(m.time, m.text) for m in drawn] == [(m.time, m.text) for m in marks(read_history(audit))]

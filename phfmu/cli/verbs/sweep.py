@@ -50,7 +50,9 @@ def add_parser(verbs: Any) -> None:
     parser.add_argument("--stop", type=float, help="stop time in s (default: the scene's)")
     parser.add_argument("--step", type=float, help="step in s (default: the scene's)")
     parser.add_argument("--engine", default="auto", choices=("auto", "python", "native"),
-                        help="auto: native if a C compiler is there, else python")  # fmt: skip
+                        help="native: compiled, whose kernels need no compiler; python: the readable reference, which lands on "
+                        "no state events or switches; auto (default): native if the runtime is there or can be compiled, else "
+                        "python")  # fmt: skip
     options.add_scheme(parser)
     options.add_steps(parser)
     add_settings(parser)

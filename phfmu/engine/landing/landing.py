@@ -1,6 +1,6 @@
-"""Grid steps with state events: what is located and what happens; the twin of runtime/events.c.
+"""Grid steps of coupled members with state events: what is located and what happens; the twin of runtime/events/events.c.
 
-A run is made of complete steps, each with its exact balance.  docs/understand/events.md has the rules.
+Instances by themselves land in compiled code.  docs/understand/events.md has the rules.
 """
 
 from __future__ import annotations
@@ -15,11 +15,9 @@ from numpy.typing import NDArray
 from phfmu.engine.landing.event_jump import AGAIN, PILE, SLIDES, Guards, Jumps
 from phfmu.engine.landing.grid_step import grid_step
 from phfmu.engine.landing.locate import EPS, Arrival, Location
-from phfmu.engine.record import Grid, recorded
 from phfmu.events.event_plan import Settings
 from phfmu.outcome.limits import LIMITS
-from phfmu.outcome.status import StepFailure
-from phfmu.outcome.steps import Happened, Landed
+from phfmu.outcome.steps import Happened
 
 Array = NDArray[Any]
 Taken = tuple[float, float, dict[str, Array]]  # a step: start, size, recorded row
@@ -78,35 +76,13 @@ class Landing:
             self._parts[id(instance)] = location, Jumps(instance, self.plan, guards)
         self.location, self.jumps = self._parts[id(instance)]
 
-    def over(self, grid: Grid, read: Callable[[], dict[str, Array]], changed: bool) -> Iterator[Landed]:
-        """Grid steps; `read` makes the row of a step, `changed`: values were set before.
-
-        StepFailure after the steps before it.
-        """
-        steps: list[Taken] = []
-        try:
-            for i in range(grid.n):
-                paused = False
-                for found in self.within(grid.start(i), grid.start(i + 1), grid.h, read, changed, grid.pause):
-                    if isinstance(found, Happened):
-                        yield Landed.of(steps, found)
-                        steps, paused = [], grid.pause
-                    else:
-                        steps.append(found)
-                changed = False
-                if paused:
-                    return
-        except StepFailure:
-            if steps:
-                yield Landed.of(steps)
-            raise
-        if steps:
-            yield Landed.of(steps)
-
     def within(
         self, t: float, end: float, h: float, read: Callable[[], dict[str, Array]], changed: bool, pause: bool = False
     ) -> Iterator[Taken | Happened]:
-        """The steps and events in [t, end], of a grid of steps h; `over` is made of these."""
+        """The steps (start, length, row made by `read`) and events in [t, end], of a grid of steps h.
+
+        `changed`: values were set before;  `pause`: ends after the events of one time.
+        """
         events = 0
         self.begin()
         if changed and self.structure is not None and self.structure.unsettled:
@@ -171,21 +147,3 @@ class Landing:
 
 def _set(p: Array, settings: Settings, i: int) -> None:
     p[settings.p[settings.of(i)]] = settings.value[settings.of(i)]
-
-
-def landed(
-    instance: Any, grid: Grid, names: tuple[str, ...], changed: bool, structure: Structure | None = None
-) -> Iterator[Landed]:
-    """`land` of an instance, which is its own `structure` if it has one; ValueError if its model has no state events."""
-    if instance.model.events is None:
-        raise ValueError(f"{instance.model.name} has no state events: use run")
-    before = dict(instance.counts)
-
-    def read() -> dict[str, Array]:
-        nonlocal before
-        now = recorded(instance, before, names)
-        before = dict(instance.counts)
-        return now
-
-    landing = Landing(instance) if structure is None else Landing(structure.present, structure)
-    return landing.over(grid, read, changed)

@@ -131,7 +131,7 @@ class NativeReadings(Instance):
 
 
 class NativeInstance(NativeReadings):
-    """An instance in compiled code, the twin of `PythonInstance`: one memory block, one C call a step.
+    """An instance in compiled code: one memory block, one C call a step, the numbers of `PythonInstance`.
 
     What both are says `Instance`.  `announce` is called before a compiler runs.  `kernels`: how those of the model run, compiled
     or interpreted, with the same bits; auto takes compiled ones where they are known, and else begins interpreted.  `steps`: how
@@ -270,6 +270,7 @@ class NativeInstance(NativeReadings):
 
     @property
     def landing(self) -> tuple[NativeLanding, Callable[[int], None]]:
+        """Its landing in compiled code, and what raises the status of one."""
         return self._lands, self._check
 
     def _land(self, grid: Grid, names: tuple[str, ...], changed: bool) -> Iterator[Landed]:

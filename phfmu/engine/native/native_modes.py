@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -21,7 +22,7 @@ from phfmu.events.comply import most_held
 from phfmu.events.modes import Mode
 from phfmu.events.switch_tables import mode_rows, switch_tables
 from phfmu.outcome.status import EventRefused, Status
-from phfmu.outcome.steps import Landed
+from phfmu.outcome.steps import Happened, Landed
 
 ROWS = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p)
 MOST = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int)
@@ -87,6 +88,8 @@ def _typed(lib: ctypes.CDLL) -> ctypes.CDLL:
         "ph_modes_init": (pointer, [pointer, pointer, ctypes.POINTER(_Source), pointer]),
         "ph_modes_prepare": (None, [pointer, real]),
         "ph_modes_from": (None, [pointer, real, real, integer, integer, integer]),
+        "ph_modes_begin": (None, [pointer, real, real, integer]),
+        "ph_modes_on": (integer, [pointer, ctypes.POINTER(LandedRows), pointer]),
         "ph_modes_land": (integer, [pointer, ctypes.POINTER(Record), ctypes.POINTER(LandedRows), pointer]),
         "ph_modes_refusal": (ctypes.POINTER(_Refusal), [pointer]),
         "ph_modes_failed": (pointer, [pointer]),
@@ -121,6 +124,25 @@ class NativeModes:
             yield from self.parts(room)
             if status:
                 self.refuse(status)
+
+    def step(self, t: float, h: float, parts: int) -> tuple[Happened, ...]:
+        """A communication step in `parts` equal internal steps, told as one; the events in it."""
+        lib = self._made.lib
+        lib.ph_modes_begin(self._in, t, h, parts)
+        room, found = self._one, list[Happened]()
+        room.out.done = 0
+        while not room.out.done:
+            self.push()
+            status = lib.ph_modes_on(self._in, room.out, room.changed.ctypes.data)
+            self.pull()
+            if status:
+                self.refuse(status)
+            found += [part.happened for part in room.parts(self._words) if part.happened is not None]
+        return tuple(found)
+
+    @cached_property
+    def _one(self) -> Room:
+        return self.room(0, ())
 
     def room(self, n: int, record: Iterable[str], pause: bool = False) -> Room:
         """Memory for n grid steps with their events, and some more."""

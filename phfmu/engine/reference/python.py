@@ -14,8 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from phfmu.discretise.model import Model
 from phfmu.engine.impulses import Kicks, Ports
 from phfmu.engine.instance import Instance
-from phfmu.engine.landing.event_step import MERGED, merged
-from phfmu.engine.landing.landing import landed
+from phfmu.engine.model import require_no_landing
 from phfmu.engine.node_sensitivity import NodeSensitivity, chosen, columns, directions
 from phfmu.engine.record import Grid, step_by_step
 from phfmu.engine.reference.evaluate import carried
@@ -112,7 +111,10 @@ class PythonReadings(Instance):
 
 
 class PythonInstance(PythonReadings):
-    """An instance stepped in Python; `NativeInstance` is its fast twin, what both are says `Instance`."""
+    """An instance stepped in Python, to be read; `NativeInstance` gives the same numbers, what both are says `Instance`.
+
+    A model with state events has values and single exact steps here; Refusal where guards would have to be looked at.
+    """
 
     def __init__(self, model: Model):
         super().__init__(model)
@@ -213,22 +215,9 @@ class PythonInstance(PythonReadings):
         if h != 0 and is_sliver(t, h, self._s.h_last):
             self.skip(t + h)
             return
-        if self.model.events is not None and h != 0:
-            self._land_step(t, h, parts)
-            return
+        if h != 0:
+            require_no_landing(self.model)
         self.step_exactly(t, h, parts)
-
-    def _land_step(self, t: float, h: float, parts: int) -> None:
-        if h < 0 or (self._s.u.reshape(self.model.step.k, -1) != self.held_input).any():
-            raise StepFailure(Status.ARGUMENT, self.model.name, t, h)
-        before = self.get_state()
-        try:
-            found = merged(landed(self, Grid(t, h / parts, parts), MERGED, True), t)
-        except StepFailure:
-            self.restore(before)
-            raise
-        found.put(self._s, self.model.step, t + h)
-        self.happened = found.happened
 
     def step_exactly(self, t: float, h: float, parts: int = 1) -> None:
         self._present.choose_rests(self._s)
@@ -286,15 +275,12 @@ class PythonInstance(PythonReadings):
 
     def _run(self, grid: Grid, names: tuple[str, ...], inputs: Array | None) -> dict[str, Array]:
         self._ports.require_none(self._s.impulses)
-        result, self.happened = step_by_step(self, grid, names, inputs)
-        return result
+        require_no_landing(self.model)
+        return step_by_step(self, grid, names, inputs)[0]
 
     def _land(self, grid: Grid, names: tuple[str, ...], changed: bool) -> Iterator[Landed]:
-        return landed(self, grid, names, changed)
-
-    @property
-    def landing(self) -> None:
-        return None
+        require_no_landing(self.model)
+        raise ValueError(f"{self.model.name} has no state events: use run")
 
     def _finite(self, values: ArrayLike, *shape: int) -> Array:
         array = self._array(values, *shape)

@@ -65,7 +65,6 @@ def instance(declaration: PHDAE, order: int = 2, scheme: Any = "auto", gradient:
     """A native instance, a Python one without a C compiler."""
     from phfmu.discretise.model import build_model
     from phfmu.engine.build.compile import CompilerMissing, require_compiler
-    from phfmu.engine.switched import stepped
     from phfmu.schemes.named import named_scheme
 
     model = build_model(declaration, named_scheme(declaration, scheme, order, gradient))
@@ -74,8 +73,9 @@ def instance(declaration: PHDAE, order: int = 2, scheme: Any = "auto", gradient:
     except CompilerMissing:
         from phfmu.engine.reference.python import PythonInstance
 
-        return stepped(model, PythonInstance)
+        return PythonInstance(model)
     from phfmu.engine.native.native import NativeInstance
+    from phfmu.engine.switched import stepped
 
     return stepped(model, NativeInstance)
 

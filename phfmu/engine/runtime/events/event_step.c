@@ -1,5 +1,5 @@
 /* Communication steps with the state events in them, each told as one step: energies are sums, means are
- * means; the twin of engine/event_step.py. */
+ * means. */
 #include <math.h>
 #include <string.h>
 

@@ -1,4 +1,4 @@
-/* Steps that go from mode to mode; the twin of `land` in engine/switched.py. */
+/* Steps that go from mode to mode. */
 #include <string.h>
 
 #include "work.h"

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from phfmu.discretise.model import Model, build_model
 from phfmu.discretise.within import polynomial_of
 from phfmu.engine.landing.landing import Change, Landing
-from phfmu.engine.reference.python import PythonInstance
+from phfmu.engine.native.native import NativeInstance
 from phfmu.engine.switched import SwitchedInstance
 from phfmu.network.couplings.coupling import AllSteps
 from phfmu.network.couplings.monolithic import Monolithic
@@ -43,7 +43,7 @@ class OneMode:
     unsettled = False
 
     def __init__(self, model: Model):
-        self.model, self.present = model, PythonInstance(model)
+        self.model, self.present = model, NativeInstance(model)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self.present, name)
@@ -60,8 +60,8 @@ class OneMode:
 
 
 def instance_of(model: Model) -> SwitchedInstance | OneMode:
-    """In Python, with or without ideal switches."""
-    return OneMode(model) if model.modes is None else SwitchedInstance(model, PythonInstance)
+    """With or without ideal switches."""
+    return OneMode(model) if model.modes is None else SwitchedInstance(model, NativeInstance)
 
 
 Array = NDArray[Any]
