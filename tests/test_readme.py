@@ -45,7 +45,7 @@ DRAWN = {".png": "matplotlib", ".html": "plotly"}
 #: whose blocks run for more than a second; what they do has tests of its own
 LONG = (
     "build-a-breaker-and-a-stop", "build-a-mechanism", "build-a-multibody-model", "choose-steps", "couple-members", "gallery",
-    "import-a-model", "look-at-a-run", "units-of-other-tools", "use-an-fmu", "use-ssp",
+    "import-a-model", "look-at-a-run", "units-of-other-tools", "use-an-fmu", "use-ssp", "vet-a-unit",
 )  # fmt: skip
 
 

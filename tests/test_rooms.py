@@ -18,7 +18,7 @@ TESTS = Path(__file__).parent
 #: from the ground up; a room may import those before it
 ROOMS = (
     "words", "files", "processors", "interrupt", "html", "pick", "declare", "terms", "gradients", "plan", "schemes", "schur",
-    "outcome", "events", "discretise", "engine", "checks", "signals", "results", "importers", "audit", "fmu",
+    "outcome", "events", "discretise", "engine", "checks", "signals", "results", "importers", "audit", "fmu", "vet",
     "network", "network.scene",
     "network.members", "network.interface", "network.impulses", "network.couplings", "network.as_unit",
     "runs", "network.check_scene", "ssp", "operating", "components", "arguments", "target", "report",

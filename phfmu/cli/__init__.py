@@ -34,6 +34,7 @@ def _parser() -> Parser:
         run,
         stress,
         sweep,
+        vet,
         view,
     )
 
@@ -55,6 +56,7 @@ def _parser() -> Parser:
         compare,
         export,
         audit,
+        vet,
         bench,
         stress,
         completion,

@@ -2,30 +2,22 @@
 
 from __future__ import annotations
 
-import json
-import queue
-import signal
-import subprocess
 import sys
-import threading
 from collections import deque
 from collections.abc import Sequence
-from pathlib import Path
-from time import monotonic
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-import phfmu
-from phfmu import interrupt
 from phfmu.fmu.export.variables import FMUError
 from phfmu.fmu.importer.archive import Extracted
 from phfmu.fmu.importer.refusal import UnitCallError, UnitFailure
 from phfmu.fmu.importer.slave import KEPT, LONGEST, QUOTED, AnySlave, Slave
 from phfmu.fmu.importer.unit_interface import Scalar
 from phfmu.fmu.importer.values import Derivative, References
-from phfmu.fmu.isolation.unit_process import GIVEN, REFUSED, read, write
+from phfmu.fmu.isolation.child import Child, Late, Lost
+from phfmu.fmu.isolation.unit_process import GIVEN, REFUSED
 from phfmu.fmu.version import VERSIONS
 from phfmu.fmu.words import plain
 
@@ -33,12 +25,9 @@ Array = NDArray[np.float64]
 
 #: lines of what a library prints that are passed on
 SHOWN = 20
-#: s that a process is given to end by itself
-PATIENCE = 1.0
 #: s that a process may take until it is there
 START = 120.0
 
-_START = "import sys; sys.path.insert(0, sys.argv[1]); from phfmu.fmu.isolation.unit_process import serve; serve()"
 #: verb -> function of the standard, less its version
 _FUNCTIONS = {
     "begin": "Instantiate", "enter": "EnterInitializationMode", "leave": "ExitInitializationMode", "do_step": "DoStep",
@@ -62,43 +51,23 @@ class RemoteSlave:
         self._groups: dict[tuple[str, ...], int] = {}
         self._forgotten: list[int] = []
         self._printed: deque[str] = deque(maxlen=QUOTED)
-        self._process: Any = subprocess.Popen(
-            [sys.executable, "-c", _START, str(Path(phfmu.__file__).parent.parent)],
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-            start_new_session=True,
-        )  # fmt: skip
-        self._answers: queue.SimpleQueue[Any] = queue.SimpleQueue()
-        self._threads = [threading.Thread(target=work, daemon=True) for work in (self._listen, self._pass_on)]
-        for thread in self._threads:
-            thread.start()
+        self._lines = 0
+        self._child = Child("phfmu.fmu.isolation.unit_process", self._pass_on)
         self._received("start", START)
         told = [str(archive.path.resolve()), str(archive.folder), archive.library, name, early_return]
         self.absent: tuple[str, ...] = tuple(self._message(told, "begin"))
 
     # -- the process ------------------------------------------------------------------------------------------
 
-    def _listen(self) -> None:
-        """Answers as they come; None at their end."""
-        try:
-            while (message := read(self._process.stdout)) is not None:
-                self._answers.put(message)
-        except (ValueError, OSError, json.JSONDecodeError):
-            pass
-        self._answers.put(None)
-
-    def _pass_on(self) -> None:
-        """Output of the library, line by line."""
-        count = 0
-        for line in self._process.stderr:
-            text = plain(line.decode("utf-8", "replace").rstrip(), LONGEST)
-            self._printed.append(text)
-            count += 1
-            if count <= SHOWN:
-                print(f"{self.name}: {text}", file=sys.stderr, flush=True)
-            elif count == SHOWN + 1:
-                print(
-                    f"{self.name}: prints more than {SHOWN} lines; the others are left out", file=sys.stderr, flush=True
-                )
+    def _pass_on(self, line: bytes) -> None:
+        """A line of output of the library."""
+        text = plain(line.decode("utf-8", "replace").rstrip(), LONGEST)
+        self._printed.append(text)
+        self._lines += 1
+        if self._lines <= SHOWN:
+            print(f"{self.name}: {text}", file=sys.stderr, flush=True)
+        elif self._lines == SHOWN + 1:
+            print(f"{self.name}: prints more than {SHOWN} lines; the others are left out", file=sys.stderr, flush=True)
 
     def _ask(self, verb: str, *arguments: Any) -> Any:
         return self._message([verb, arguments], verb)
@@ -109,22 +78,22 @@ class RemoteSlave:
         if self.dead:
             raise UnitCallError(self.name, function, "fatal", ["it met a fatal error before"])
         try:
-            write(self._process.stdin, message)
-        except (OSError, ValueError):
-            raise self._lost(f"{function}: {self._end()}", "gone") from None
+            self._child.tell(message)
+        except Lost as lost:
+            raise self._lost(f"{function}: {lost}", "gone") from None
         return self._received(function, self.timeout)
 
     def _received(self, function: str, timeout: float) -> Any:
         try:
-            found = self._awaited(timeout)
-        except queue.Empty:
+            found = self._child.answer(timeout)
+        except Late:
             raise self._lost(f"{function}: no answer in {timeout:g} s", "hang") from None
+        except Lost as lost:
+            raise self._lost(f"{function}: {lost}", "gone") from None
         except KeyboardInterrupt:  # its answer would be taken for that of the next call
             self.dead = True
-            self._process.kill()
+            self._child.kill()
             raise
-        if found is None:
-            raise self._lost(f"{function}: {self._end()}", "gone")
         kind, what = found
         if kind == GIVEN:
             return what
@@ -134,32 +103,9 @@ class RemoteSlave:
             raise UnitCallError(self.name, called, reply, words)
         raise FMUError(what)
 
-    def _awaited(self, timeout: float) -> Any:
-        """The next answer; queue.Empty if there is none in so many s, Interrupted if a signal comes before."""
-        late = monotonic() + timeout
-        while (left := late - monotonic()) > interrupt.SLICE:
-            try:
-                return self._answers.get(timeout=interrupt.SLICE)
-            except queue.Empty:
-                interrupt.check()
-        return self._answers.get(timeout=max(left, 0.0))
-
-    def _end(self) -> str:
-        """How the process ended, in words."""
-        try:
-            code = self._process.wait(PATIENCE)
-        except subprocess.TimeoutExpired:
-            return "its process closed the connection"
-        if code >= 0:
-            return f"its process ended with exit code {code}"
-        names = {s.value: s.name for s in signal.Signals}
-        return f"its process was ended by {names.get(-code, f'signal {-code}')}"
-
     def _lost(self, what: str, answer: str) -> UnitFailure:
         self.dead = True
-        self._process.kill()
-        self._process.wait()
-        self._threads[1].join(PATIENCE)
+        self._child.kill()
         return UnitFailure(self.name, self._time, self._step, what, answer, [*self._printed])
 
     def last_words(self) -> tuple[str, ...]:
@@ -237,16 +183,7 @@ class RemoteSlave:
             except (UnitFailure, FMUError) as error:
                 print(f"{self.name}: {error}", file=sys.stderr)
         self.dead = True
-        self._process.stdin.close()
-        try:
-            self._process.wait(PATIENCE)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
-        for thread in self._threads:
-            thread.join(PATIENCE)
-        self._process.stdout.close()
-        self._process.stderr.close()
+        self._child.close()
 
 
 def slave_of(unit: Extracted, name: str, early_return: bool, isolate: float | None) -> AnySlave:

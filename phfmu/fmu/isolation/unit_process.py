@@ -115,7 +115,7 @@ def answer(server: Server, verb: str, arguments: list[Any]) -> tuple[str, Any]:
         return WRONG, str(error)
 
 
-def _end_with_parent() -> None:
+def end_with_parent() -> None:
     """Linux ends this process with the one that started it, also in the middle of a call."""
     if sys.platform == "linux":
         import ctypes
@@ -134,7 +134,7 @@ def serve() -> None:
     from phfmu.fmu.isolation import exit_guard
 
     exit_guard.leave_alone()
-    _end_with_parent()
+    end_with_parent()
     write(told, (GIVEN, None))
     try:
         server = Server(*read(asked))
