@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.sparse import csc_matrix
@@ -13,6 +15,7 @@ from phfmu.components.library import build
 from phfmu.components.mechanical.translational import mass, spring
 from phfmu.declare.variable import Value
 from phfmu.discretise.onestep import step_layout
+from phfmu.plan import ordering
 from phfmu.plan.address import Address, increment, row
 from phfmu.plan.ordering import StructurallySingular, elimination_order
 from phfmu.plan.planner import make_plan
@@ -85,6 +88,41 @@ def test_ladder_of_zero_diagonals_fills_linearly(scrambled, diagonal):
             row, col = np.append(row, weak).astype(np.int32), np.append(col, weak).astype(np.int32)
         sizes.append(fill(size, row, col, weak) / size)
     assert max(sizes) <= 8.0 and sizes[-1] <= 1.5 * sizes[0]
+
+
+def sheet(n: int) -> tuple[int, Any, Any]:
+    """Positions q and velocities v of n x n masses: q' = v, M v' = -K q, K with the five points of a grid."""
+    at = {(i, j): i * n + j for i in range(n) for j in range(n)}
+    near = [(a, at[i + x, j + y]) for (i, j), a in at.items() for x, y in STAR if (i + x, j + y) in at]
+    m = n * n
+    entries = [(a, a) for a in range(2 * m)] + [(a, m + a) for a in range(m)] + [(m + a, b) for a, b in near]
+    row, col = np.array(entries, np.int32).T
+    return 2 * m, row, col
+
+
+STAR = ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1))
+
+
+def test_positions_of_a_sheet_are_eliminated_first_and_leave_the_fill_of_its_stiffness() -> None:
+    """The Schur complement of the positions is the 5-point matrix of the velocities: no more fill than that has by itself."""
+    size, row, col = sheet(16)
+    order, _ = elimination_order(size, row, col, np.zeros(0, np.int32))
+    assert set(order[: size // 2].tolist()) == set(range(size // 2))
+    m = size // 2
+    stiff = (row >= m) & (col < m)
+    alone = fill(m, row[stiff] - m, col[stiff], np.zeros(0, np.int32))
+    positions = 2 * m + stiff.sum()  # of U: diagonal and D_v; of L: the stiffness and, counted by scipy, its diagonal
+    assert fill(size, row, col, np.zeros(0, np.int32)) <= alone + positions + m
+
+
+def test_an_order_that_saves_nothing_stays_that_of_minimum_degree() -> None:
+    size, row, col = ladder(30, scrambled=False)
+    weak = np.setdiff1d(np.arange(size), row[row == col]).astype(np.int32)
+    whole = ordering._Pattern(size, row, col)
+    for one, other in zip(
+        elimination_order(size, row, col, weak), ordering._minimum_degree(whole, row, col), strict=True
+    ):
+        np.testing.assert_array_equal(one, other)
 
 
 def test_ordering_reports_rows_and_columns_without_partner():
