@@ -19,13 +19,12 @@ from phfmu.sweeps.task import Task
 
 
 class GeneralRuns:
-    """One instance that takes one run after the other."""
+    """Takes one run after the other, each by an instance that begins with its values."""
 
     def __init__(self, task: Task, engine: type, keep: Path | None = None):
-        self._task, self._instance, places = task, engine(task.model), Places(task.model)
+        self._task, self._engine, places = task, engine, Places(task.model)
         self._keep, self._stopped = keep, False
         self._places = [(p, j) for j, name in enumerate(task.names) for p in places.of(name)]
-        self._free = [(name, j) for j, name in enumerate(task.names) if places.of(name)[0].kind == INPUT]
 
     def take(self, rows: NDArray[Any], first: int = 0) -> Outcome:
         """Runs with these values (n x names), of which the first has this number."""
@@ -44,16 +43,14 @@ class GeneralRuns:
         values = {PARAMETER: model.p0.copy(), STATE: model.x0.copy(), INPUT: model.u0.copy()}
         for p, column in self._places:
             values[p.kind][p.index] = row[column]
+        starts = {"p0": values[PARAMETER], "x0": values[STATE], "u0": values[INPUT]}
+        own = replace(model, first=model.first or model, **starts)
         try:
-            i = self._instance
-            i.reset()
-            i.set_parameters(values[PARAMETER])
-            i.set_x(task.options.t0, values[STATE])
-            i.set_input(values[INPUT])
-            i.initialise()
-            stepper = Monolithic(model, i)
-            for name, value in ((n, row[j]) for n, j in self._free):
-                stepper.set_value(name, value)
+            instance = self._engine(own)
+            if task.options.t0 != model.t0:
+                instance.set_x(task.options.t0, own.x0)
+                instance.initialise()
+            stepper = Monolithic(own, instance)
             found = run(stepper, replace(task.options, progress=self._goes_on))
         except (StepFailure, InconsistentState) as error:
             return Outcome(np.full((1, len(task.measures)), np.nan), np.zeros(1, int), np.zeros(1), (str(error),))

@@ -3,22 +3,32 @@
 from __future__ import annotations
 
 import ctypes
+from dataclasses import replace
 from functools import cache
+from itertools import groupby
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from phfmu.audit.judge import Judge
+from phfmu.audit.summing.ordinary import Ordinary
+from phfmu.audit.summing.run_sums import RunSums
 from phfmu.discretise.model import CONSISTENCY
-from phfmu.engine.native.library import drivers, enums
+from phfmu.engine.native.library import drivers
 from phfmu.engine.native.native import NativeInstance
 from phfmu.engine.native.structures import Header, Structures
+from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.network.members.columns import Columns, Constants
 from phfmu.network.members.consistent import InconsistentState, require_consistent
+from phfmu.network.members.inputs import with_bare
+from phfmu.network.scene import Event
 from phfmu.outcome.status import StepFailure
 from phfmu.runs.loop import segments
 from phfmu.runs.march import pieces
+from phfmu.runs.stretches import stretches
 from phfmu.sweeps.outcome import Outcome, Stopped
 from phfmu.sweeps.places import INPUT, PARAMETER, Places
 from phfmu.sweeps.task import Task
@@ -30,10 +40,8 @@ LISTS = {"place": "places", "change": "changes", "stretch": "stretches", "measur
 HEADER = Header((RUNTIME / "runs.h",), (*(f"ph_runs_{kind}" for kind in LISTS), "ph_runs"))
 #: what runs.c answers for runs that were told to stop
 STOPPED = -2
-#: of each component, what the judge remembers
-SUMS = ("constant", "reach", "change", "now", "carry", "play", "stirred", "missed", "missed_carry", "squares")
-#: rows of the ledger in the order of runs.c
-ROWS = ("stored", "dissipated", "supplied", "numerical", "moved", "pairs")
+#: of each component: energies, see runs.h
+ENERGIES = ("constant", "was", "now", "carry", "varying")
 
 
 def fits(task: Task) -> bool:
@@ -73,6 +81,10 @@ class NativeRuns:
         self._held, places = Constants(task.model), Places(task.model)
         named = [(p, j) for j, n in enumerate(task.names) for p in places.of(n)]
         self._parameters = [(p.index, j) for p, j in named if p.kind == PARAMETER]
+        books = Monolithic(task.model, self._instance).booking
+        # parts of junctions are not told of a sweep
+        books = replace(books, parts=(), divided={}) if books.parts else books
+        self._accounts = Ordinary(self._lib, books, RunSums(), Judge(task.options.audit_rtol))
         self._struct = self._memory.fill("ph_runs", self._values(task))
 
     def take(self, rows: NDArray[Any], first: int = 0) -> Outcome:
@@ -138,34 +150,61 @@ class NativeRuns:
             "p": plan.np,
             "x": plan.nx,
             "u": plan.nu,
-            **dict.fromkeys(SUMS, plan.ncomp),
+            **dict.fromkeys(ENERGIES, plan.ncomp),
         }
         work |= dict.fromkeys(("value", "held", "time"), len(measured))
-        found = layout["observables"]
+        found, (accounts, books) = layout["observables"], self._accounts.accounts
         return {
             "in": self._instance.handle.instance,
-            **{n: getattr(plan, n) for n in ("np", "nx", "nu", "nq", "ncomp")},
+            **{n: getattr(plan, n) for n in ("np", "nx", "nu", "ncomp")},
             **{f"n{kind}": len(rows) for kind, rows in listed.items()},
             "ncheck": len(model.checks), "check": found.stop - len(model.checks), "energy": energies,
             "refresh": any(ends <= first < energies for _, first, _ in measured),
-            "t0": o.t0, "length": o.stop - o.t0, "rtol": o.audit_rtol,
+            "t0": o.t0, "length": o.stop - o.t0, "loses": int(model.loses_energy),
             "stop": self._stop.ctypes.data,
             "p0": model.p0, "x0": model.x0, "u0": model.u0, "tolerance": CONSISTENCY * np.asarray(model.check_scale),
-            "owner": plan.pair_owner, "row": [enums()["ph_row"].index(n) for n in ROWS],
+            "accounts": accounts, "books": books.ctypes.data, "nbook": len(books),
             **lists, **{name: np.zeros(size) for name, size in work.items()},
         }  # fmt: skip
 
 
 def _schedule(task: Task, places: Places) -> dict[str, list[dict[str, Any]]]:
-    """Stretches of equal steps, and what the events at their starts set."""
-    o = task.options
-    stretches, changes = [], []
-    for start, end, here in segments(o.t0, o.stop, sorted(o.events, key=lambda e: e.t), 1e-9 * o.step):
-        begun = len(changes)
-        for e in here:
-            for p in places.of(e.name, (PARAMETER, INPUT)):
-                changes.append({"kind": p.kind, "index": p.index, "value": e.value})
-        for t, h, n in pieces(start, end, o.step):
-            stretches.append({"t": t, "h": h, "n": n, "change": begun, "until": len(changes)})
-            begun = len(changes)
-    return {"stretch": stretches, "change": changes}
+    """Stretches of equal steps, and what the events at their starts set, as the run loop has them."""
+    o, ports = task.options, task.model.declaration.ports
+    free = with_bare([n for p in ports if p.external for n in p.input_names()])
+    found = _Schedule(places)
+    events = sorted(o.events, key=lambda e: e.t)
+    for stretch in stretches(lambda: segments(o.t0, o.stop, events, 1e-9 * o.step), o.step, lambda name: name in free):
+        for e in stretch.events:
+            found.set(e, apart=stretch.start > o.t0)
+        for t, h, n in pieces(stretch.start, stretch.end, o.step):
+            first, inside = 0, False
+            for at, changes in groupby(stretch.inputs.within(0, n), key=itemgetter(0)):
+                found.steps(t, h, first, at - first, inside)
+                first, inside = at, True
+                for _, e in changes:
+                    found.set(e)
+            found.steps(t, h, first, n - first, inside)
+    return {"stretch": found.stretches, "change": found.changes}
+
+
+class _Schedule:
+    """Rows of ph_runs_stretch and ph_runs_change."""
+
+    def __init__(self, places: Places):
+        self._places, self._begun = places, 0
+        self.stretches, self.changes = list[dict[str, Any]](), list[dict[str, Any]]()
+
+    def set(self, e: Event, apart: bool = False) -> None:
+        """What an event sets; `apart`: after what those before it have set has been taken."""
+        if apart and len(self.changes) > self._begun:
+            self.steps(e.t, 1.0, 0, 0)
+        found = self._places.of(e.name, (PARAMETER, INPUT))
+        self.changes += [{"kind": p.kind, "index": p.index, "value": e.value} for p in found]
+
+    def steps(self, t: float, h: float, first: int, n: int, inside: bool = False) -> None:
+        """n steps of a grid from the first one on, after the changes so far."""
+        until = len(self.changes)
+        row = {"t": t, "h": h, "first": first, "n": n, "change": self._begun, "until": until, "inside": int(inside)}
+        self.stretches.append(row)
+        self._begun = until

@@ -63,9 +63,7 @@ def test_whole_results_are_those_of_the_runs(compiler: None, tmp_path: Path, job
     assert found["last(v[1])"].equals(sweep(FOUR(), runs, ["last(v[1])"], options=SHORT)["last(v[1])"])
     for i, k in enumerate((40.0, 60.0)):
         kept = open_result(tmp_path / "all" / f"{i:06d}.parquet")
-        alone = Monolithic(model := build_model(FOUR()), NativeInstance(model))
-        alone.set_value("k13", k)
-        alone.instance.initialise()
+        alone = Monolithic(model := build_model(FOUR().with_starts({"k13": k})), NativeInstance(model))
         result = run(alone, SHORT)
         assert kept.names == result.names and np.array_equal(kept.values, result.values)
         declared = build_model(

@@ -1,45 +1,12 @@
-/* Rows of a ledger summed and judged in one pass, as booked_steps.py, run_sums.py and judge.py do by arrays,
- * with the same bits.
- *
- * Only for ordinary rows: all numbers finite, all energies within what is allowed.  The first row that is not
- * ends the pass, and the caller takes the whole block by arrays, which know what to say of it. */
+/* See ordinary.h. */
+#include "ordinary.h"
+
 #include "judge.h"
 #include "sums.h"
 
 typedef ptrdiff_t size;
 
 #define ULPS (PH_ULPS * DBL_EPSILON)
-
-/* Sums high + low of any number of terms. */
-typedef struct {
-    double *high, *low;
-} ph_sums;
-
-/* n rows of c components, q port pairs, of junctions and parts of their energies.  [..] lengths; all owned by
- * the caller. In, by rows: H0 .. varying; numerical, moved and works may be NULL.  In, of the booking: judged
- * [c] or 0; owner [q]: component, or -1; port [q]: of a pair; junction [q]: or -1; outside [q]: sign of what
- * enters the balance, or 0; part_junction [parts]; projection [parts]: it is a loss.  before [c]: H booked at
- * the start. In and out, up to the last row: the sums; reach, largest, stirred [c], passed [junctions]: most
- * so far; turnover [c]: sum of moved; worst [c], with the row and residual of it, the row -1 for none of
- * these; worst_junction [junctions], worst_part [parts].  scratch [7c + 7 junctions]. */
-typedef struct {
-    size n, c, q, junctions, parts, loose;
-    double rtol;
-    const double *H0, *H, *stored, *dissipated, *supplied, *numerical, *moved, *pairs, *works;
-    const double *varying;
-    const size *judged, *owner, *port, *junction;
-    const double *outside;
-    const size *part_junction, *projection;
-    const double *before;
-    ph_sums of_dissipated, of_supplied, of_numerical, of_stored, gap, missed, squares; /* [c] */
-    ph_sums of_port, of_junction, exchanged, of_part;                     /* [ports], [junctions], [parts] */
-    ph_sums dissipation, external, residual, unexplained, dH, loss, left; /* [1] of the network */
-    double *reach, *largest, *stirred, *turnover, *passed;
-    double *worst, *worst_residual;
-    size *worst_row;
-    double *worst_junction, *worst_part, worst_unexplained;
-    double *scratch;
-} ph_ledger;
 
 /* A sum over a row, compensated. */
 typedef struct {
@@ -70,7 +37,7 @@ static double value(across s) {
     return s.high + s.low;
 }
 
-static ph_row begun(const ph_ledger *b) {
+static ph_row begun(const ph_accounts *b) {
     const size c = b->c, m = b->junctions;
     double *s = b->scratch, *j = s + 7 * c;
     for (size i = 0; i < 7 * (c + m); i++)
@@ -92,7 +59,7 @@ static ph_row begun(const ph_ledger *b) {
 }
 
 /* Energies through the port pairs: by port, component and junction. */
-static void take_pairs(const ph_ledger *b, const double *pairs, ph_row *r) {
+static void take_pairs(const ph_accounts *b, const double *pairs, ph_row *r) {
     const ph_sums made = {r->made, r->made_low}, moved = {r->moved, r->moved_low};
     for (size j = 0; j < b->q; j++) {
         const double x = pairs[j], a = fabs(x);
@@ -112,7 +79,7 @@ static void take_pairs(const ph_ledger *b, const double *pairs, ph_row *r) {
 }
 
 /* Sums of the components of row i, their residuals and the energies in play. */
-static void take_components(const ph_ledger *b, size i, ph_row *r) {
+static void take_components(const ph_accounts *b, size i, ph_row *r) {
     for (size k = 0; k < b->c; k++) {
         const size at = i * b->c + k;
         const double stored = b->stored[at], dissipated = b->dissipated[at], supplied = b->supplied[at];
@@ -140,8 +107,18 @@ static void take_components(const ph_ledger *b, size i, ph_row *r) {
     }
 }
 
+/* Whether |x| is allowed; if not, its share is kept. */
+static int within(ph_accounts *b, double x, double allowed) {
+    const double share = ph_share(x, allowed);
+    if (fabs(x) <= allowed)
+        return 1;
+    if (!(share <= b->violated))
+        b->violated = share;
+    return 0;
+}
+
 /* Whether all components of row i close; which was the worst, if one was worse than before. */
-static int judge_components(const ph_ledger *b, size i, const ph_row *r) {
+static int judge_components(ph_accounts *b, size i, const ph_row *r) {
     int fine = 1;
     for (size k = 0; k < b->c; k++) {
         const size at = i * b->c + k;
@@ -152,18 +129,21 @@ static int judge_components(const ph_ledger *b, size i, const ph_row *r) {
         const double allowed = ph_allowed(b->rtol, r->in_play[k], b->reach[k], b->varying[at] + relation);
         const double permitted = in_step + ph_rounding_of_H(b->largest[k], b->turnover[k]);
         const double between = b->H0[at] - (i ? b->H[at - b->c] : b->before[k]);
-        const double within = b->H[at] - b->H0[at] - b->stored[at];
-        if (b->judged[k])
-            fine &=
-                residual <= allowed && -dissipated <= allowed && fabs(supplied - r->through[k]) <= allowed;
-        fine &= fabs(between) <= permitted && fabs(within) <= permitted && (allowed > 0.0 || residual == 0.0);
+        const double changed = b->H[at] - b->H0[at] - b->stored[at];
+        if (b->judged[k]) {
+            fine &= residual <= allowed;
+            fine &= within(b, dissipated < 0.0 ? dissipated : 0.0, allowed);
+            fine &= within(b, supplied - r->through[k], allowed);
+        }
+        fine &= within(b, between, permitted) & within(b, changed, permitted);
+        fine &= allowed > 0.0 || residual == 0.0;
         const double found = ph_share(residual, allowed);
         if (found > b->worst[k]) {
             b->worst[k] = found;
             b->worst_residual[k] = r->residual[k];
             b->worst_row[k] = i;
         }
-        add(b->gap, k, between + within);
+        add(b->gap, k, between + changed);
         add(b->missed, k, r->residual[k]);
         add(b->squares, k, allowed * allowed);
         r->allowed[k] = b->judged[k] ? allowed : residual;
@@ -172,7 +152,7 @@ static int judge_components(const ph_ledger *b, size i, const ph_row *r) {
 }
 
 /* Parts of the energies of the junctions. */
-static void take_parts(const ph_ledger *b, const double *works, const ph_row *r) {
+static void take_parts(const ph_accounts *b, const double *works, const ph_row *r) {
     for (size j = 0; j < b->parts; j++) {
         const size at = b->part_junction[j];
         add(b->of_part, j, works[j]);
@@ -184,7 +164,7 @@ static void take_parts(const ph_ledger *b, const double *works, const ph_row *r)
 }
 
 /* Whether the junctions made what they may; `made`: by all of them. */
-static int take_junctions(const ph_ledger *b, const ph_row *r, across *made) {
+static int take_junctions(const ph_accounts *b, const ph_row *r, across *made) {
     int fine = 1;
     for (size j = 0; j < b->junctions; j++) {
         const double created = r->made[j] + r->made_low[j];
@@ -208,7 +188,7 @@ static int take_junctions(const ph_ledger *b, const ph_row *r, across *made) {
 }
 
 /* Sums of the network; whether it closes. */
-static int take_network(ph_ledger *b, const ph_row *r, across made) {
+static int take_network(ph_accounts *b, const ph_row *r, across made) {
     double missed = 0.0;
     for (size k = 0; k < b->c; k++)
         missed += r->allowed[k];
@@ -233,18 +213,38 @@ static int finite(ph_sums s, size n) {
     return 1;
 }
 
-/* 1, or 0 where a row is not ordinary: then the sums are not to be used. */
-PH_API int ph_ordinary(ph_ledger *b, size ports) {
-    for (size i = 0; i < b->n; i++) {
-        ph_row r = begun(b);
-        across made = {0.0, 0.0};
-        take_pairs(b, b->pairs + i * b->q, &r);
-        take_components(b, i, &r);
-        if (b->parts)
-            take_parts(b, b->works + i * b->parts, &r);
-        if (!judge_components(b, i, &r) || !take_junctions(b, &r, &made) || !take_network(b, &r, made))
-            return 0;
+int ph_account(ph_accounts *b, size i) {
+    ph_row r = begun(b);
+    across made = {0.0, 0.0};
+    int fine;
+    take_pairs(b, b->pairs + i * b->q, &r);
+    take_components(b, i, &r);
+    if (b->parts)
+        take_parts(b, b->works + i * b->parts, &r);
+    fine = judge_components(b, i, &r);
+    fine &= take_junctions(b, &r, &made);
+    return fine & take_network(b, &r, made);
+}
+
+double ph_worst_share(const ph_accounts *b) {
+    double most = b->violated;
+    for (size k = 0; k < b->c; k++) {
+        const double missed = b->missed.high[k] + b->missed.low[k];
+        const double squares = b->squares.high[k] + b->squares.low[k];
+        const double in_run = ph_share(missed, ph_allowed_in_run(squares));
+        if (!(b->worst[k] <= most))
+            most = b->worst[k];
+        if (!(in_run <= most))
+            most = in_run;
     }
+    return most;
+}
+
+/* 1, or 0 where a row is not ordinary: then the sums are not to be used. */
+PH_API int ph_ordinary(ph_accounts *b, size ports) {
+    for (size i = 0; i < b->n; i++)
+        if (!ph_account(b, i))
+            return 0;
     return finite(b->of_dissipated, b->c) && finite(b->of_supplied, b->c) && finite(b->of_stored, b->c) &&
            (!b->numerical || finite(b->of_numerical, b->c)) && finite(b->gap, b->c) &&
            finite(b->missed, b->c) && finite(b->squares, b->c) && finite(b->of_port, ports) &&

@@ -25,8 +25,8 @@ _SUMS = (
 )
 
 
-class _Ledger(ctypes.Structure):
-    """`ph_ledger` of runtime/ordinary.c."""
+class _Accounts(ctypes.Structure):
+    """`ph_accounts` of runtime/ordinary.h."""
 
     _fields_ = [
         *((name, _SIZE) for name in ("n", "c", "q", "junctions", "parts", "loose")),
@@ -40,6 +40,7 @@ class _Ledger(ctypes.Structure):
         *((name, _AT) for name in ("worst", "worst_residual", "worst_row", "worst_junction", "worst_part")),
         ("worst_unexplained", _REAL),
         ("scratch", _AT),
+        ("violated", _REAL),
     ]  # fmt: skip
 
 
@@ -61,7 +62,7 @@ class Ordinary:
         #: sums, high parts and then low ones, and what else goes in and comes out
         self._state = np.zeros(2 * self._many + sum(most.values()))
         self._rows = np.empty(c, np.intp)
-        self._own = _Ledger(0, c, self._q, m, len(self._parts), booking.loose, judge.rtol)
+        self._own = _Accounts(0, c, self._q, m, len(self._parts), booking.loose, judge.rtol)
         begin = self._state.ctypes.data
         for part in ("high", "low"):
             for name, width in widths.items():
@@ -90,6 +91,12 @@ class Ordinary:
             "part_junction": np.array([junction[key.junction] for key in b.parts], np.intp),
             "projection": np.array([key.part == PROJECTION for key in b.parts], np.intp),
         }
+
+    @property
+    def accounts(self) -> tuple[int, NDArray[Any]]:
+        """For compiled code that judges its own steps: the address of the accounts, and the memory of all that they add up, which
+        is zero at the start."""
+        return ctypes.addressof(self._own), self._state
 
     def take(self, steps: Steps, H0: ArrayLike | None) -> list[int] | None:
         """Add the steps, if all are ordinary; the row that is now the worst of each component, or -1.  Else nothing, None."""

@@ -8,8 +8,6 @@
 #include <math.h>
 #include <string.h>
 
-#include "judge.h"
-
 enum { FIRST, LAST, MIN, MAX, PEAK, MEAN, RMS, TMIN, TMAX };
 enum { PARAMETER, STATE, INPUT };
 
@@ -26,6 +24,7 @@ static double sum(const ph_runs *s, const double *signals, const ph_runs_measure
 /* Stored energy from the signals: at the start, and where parameters changed it. */
 static void count_stored(const ph_runs *s) {
     memcpy(s->now, ph_signals(s->in) + s->energy, sizeof(double) * (size_t)s->ncomp);
+    memcpy(s->accounts->before, s->now, sizeof(double) * (size_t)s->ncomp);
     memset(s->carry, 0, sizeof(double) * (size_t)s->ncomp);
 }
 
@@ -93,69 +92,33 @@ static void tell(const ph_runs *s, double length, double *out) {
     }
 }
 
-/* What of H [J] of component k varies, at the larger of both ends of a step. */
-static double varying(const ph_runs *s, int k, double before) {
-    const double now = s->now[k], c = s->constant[k];
-    return fmin(ph_most(fabs(before), fabs(now)), ph_most(fabs(before - c), fabs(now - c)));
+/* The accounts of a run that has none yet; rows are those of the ledger of a step. */
+static void open_accounts(const ph_runs *s) {
+    ph_accounts *b = s->accounts;
+    memset(s->books, 0, sizeof(double) * (size_t)s->nbook);
+    b->violated = b->worst_unexplained = 0.0;
+    b->H0 = s->was;
+    b->H = s->now;
+    b->varying = s->varying;
+    b->stored = ph_ledger(s->in, PH_ROW_STORED);
+    b->dissipated = ph_ledger(s->in, PH_ROW_DISSIPATED);
+    b->supplied = ph_ledger(s->in, PH_ROW_SUPPLIED);
+    b->numerical = s->loses ? ph_ledger(s->in, PH_ROW_NUMERICAL) : NULL;
+    b->moved = ph_ledger(s->in, PH_ROW_MOVED);
+    b->pairs = ph_ledger(s->in, PH_ROW_PAIRS);
 }
 
-/* Energies in play in the last step, and so far, with the sums of the changes of H; row: those of the ledger.
- */
-static double play(const ph_runs *s, const double *const *row) {
-    double most = 0.0;
+/* Books the last step. H is what its changes add up to, so that it is not solved for. */
+static void book(const ph_runs *s) {
+    ph_accounts *b = s->accounts;
+    memcpy(s->was, s->now, sizeof(double) * (size_t)s->ncomp);
     for (int k = 0; k < s->ncomp; k++) {
-        double pairs = 0.0;
-        for (int j = 0; j < s->nq; j++)
-            pairs += s->owner[j] == k ? fabs(row[5][j]) : 0.0;
-        s->play[k] = ph_in_play(row[4][k], row[0][k], row[2][k], row[1][k], row[3][k], pairs);
-        s->stirred[k] = ph_most(s->stirred[k], ph_most(fabs(row[4][k]), fabs(row[0][k])));
-        s->change[k] += row[0][k];
-        s->reach[k] = ph_most(s->reach[k], ph_most(s->play[k], fabs(s->change[k])));
-        most += s->reach[k];
+        const double c = s->constant[k], was = s->was[k];
+        add_to(&s->now[k], &s->carry[k], b->stored[k]);
+        s->varying[k] = fmin(fmax(fabs(was), fabs(s->now[k])), fmax(fabs(was - c), fabs(s->now[k] - c)));
     }
-    return most;
-}
-
-/* How much of what is allowed the last step misses, or dissipates below zero, at most over the components. */
-static double owes(const ph_runs *s) {
-    const double *row[6];
-    double worst = 0.0, most;
-    for (int i = 0; i < 6; i++)
-        row[i] = ph_ledger(s->in, s->row[i]);
-    most = play(s, row);
-    for (int k = 0; k < s->ncomp; k++) {
-        const double missing = row[0][k] + row[1][k] + row[3][k] - row[2][k], before = s->now[k];
-        double allowed, found;
-        add_to(&s->now[k], &s->carry[k], row[0][k]);
-        allowed = varying(s, k, before) + (s->stirred[k] == 0.0 ? most : 0.0);
-        allowed = ph_allowed(s->rtol, s->play[k], s->reach[k], allowed);
-        add_to(&s->missed[k], &s->missed_carry[k], missing);
-        s->squares[k] += allowed * allowed;
-        found = ph_share(missing, allowed);
-        if (-row[1][k] > allowed)
-            found = ph_most(found, -row[1][k] / allowed);
-        if (!(found <= worst))
-            worst = found;
-    }
-    return worst;
-}
-
-/* The same of the sums over the run. */
-static double owes_in_run(const ph_runs *s) {
-    double worst = 0.0;
-    for (int k = 0; k < s->ncomp; k++) {
-        const double found = ph_share(s->missed[k], ph_allowed_in_run(s->squares[k]));
-        if (!(found <= worst))
-            worst = found;
-    }
-    return worst;
-}
-
-/* What is remembered of the components from step to step. */
-static void forget(const ph_runs *s) {
-    double *all[] = {s->reach, s->change, s->stirred, s->missed, s->missed_carry, s->squares};
-    for (size_t i = 0; i < sizeof all / sizeof *all; i++)
-        memset(all[i], 0, sizeof(double) * (size_t)s->ncomp);
+    (void)ph_account(b, 0);
+    memcpy(b->before, s->now, sizeof(double) * (size_t)s->ncomp);
 }
 
 static int start(const ph_runs *s, const double *row) {
@@ -187,11 +150,10 @@ static int change(const ph_runs *s, const ph_runs_stretch *stretch) {
         status = ph_set_parameters(s->in, s->p);
     if (inputs && !status)
         status = ph_set_input(s->in, s->u);
-    if (parameters && !status) {
+    if (!stretch->inside && !status) /* as a run does, whose next step begins from there */
         status = ph_refresh(s->in);
-        if (!status)
-            count_stored(s);
-    }
+    if (parameters && !status)
+        count_stored(s);
     return status;
 }
 
@@ -205,7 +167,7 @@ static int consistent(const ph_runs *s) {
 
 static int one(const ph_runs *s, const double *row, double *out, double *facts) {
     int status = start(s, row);
-    forget(s);
+    open_accounts(s);
     facts[0] = facts[1] = 0.0;
     for (int i = 0; i < s->nstretch && !status; i++) {
         const ph_runs_stretch *r = &s->stretches[i];
@@ -219,8 +181,7 @@ static int one(const ph_runs *s, const double *row, double *out, double *facts) 
                 begin(s, ph_signals(s->in), s->t0);
             }
         }
-        for (int n = 0; n < r->n && !status; n++) {
-            double missing;
+        for (int n = r->first; n < r->first + r->n && !status; n++) {
             status = *(const volatile int *)s->stop ? PH_RUNS_STOPPED : 0;
             if (!status)
                 status = ph_step(s->in, r->t + (double)n * r->h, r->h);
@@ -228,15 +189,13 @@ static int one(const ph_runs *s, const double *row, double *out, double *facts) 
                 status = ph_refresh(s->in);
             if (status)
                 break;
-            missing = owes(s);
+            book(s);
             facts[0] += 1.0;
-            facts[1] = missing <= facts[1] ? facts[1] : missing;
             add(s, ph_signals(s->in), r->t + (double)(n + 1) * r->h, r->h);
         }
     }
     if (!status) {
-        const double missing = owes_in_run(s);
-        facts[1] = missing <= facts[1] ? facts[1] : missing;
+        facts[1] = ph_worst_share(s->accounts);
         tell(s, s->length, out);
     }
     return status;

@@ -1,6 +1,7 @@
 #ifndef PH_RUNS_H
 #define PH_RUNS_H
 
+#include "ordinary.h"
 #include "phfmu.h"
 #include <stddef.h>
 
@@ -22,13 +23,16 @@ typedef struct ph_runs_change {
     double value;
 } ph_runs_change;
 
-/* n steps from t, after the changes from `change` to `until`. */
+/* Steps first..first+n-1 of the grid t + k h, after the changes from `change` to `until`; inside: free inputs
+ * change between equal steps, and what holds at the present time is not asked for. */
 typedef struct ph_runs_stretch {
     double t;
     double h;
+    int first;
     int n;
     int change;
     int until;
+    int inside;
 } ph_runs_stretch;
 
 /* Sum of `count` signals from `first` on. */
@@ -43,7 +47,6 @@ typedef struct ph_runs {
     int np;
     int nx;
     int nu;
-    int nq;
     int ncomp;
     int nplace;
     int nstretch;
@@ -54,35 +57,31 @@ typedef struct ph_runs {
     int refresh; /* whether values of the present time are measured that take a solve in every step */
     double t0;
     double length;
-    double rtol;
     const double *p0;
     const double *x0;
     const double *u0;
     const double *tolerance; /* ncheck */
-    const int *owner;        /* nq: component of each pair */
-    const int *row;          /* 6: ledger rows stored, dissipated, supplied, numerical, moved, pairs */
     const ph_runs_place *places;
     const ph_runs_stretch *stretches;
     const ph_runs_change *changes;
     const ph_runs_measure *measures;
-    const int *stop; /* 1 from when on no step is wanted any more, by whoever waits for the runs */
-    double *p;       /* np, what the instance has */
-    double *x;       /* nx */
-    double *u;       /* nu */
-    double *value;   /* nmeasure, as are the next two: sums and extremes, */
-    double *held;    /* the last value, */
-    double *time;    /* the time of the extreme */
+    const int *stop;       /* 1 from when on no step is wanted any more, by whoever waits for the runs */
+    double *p;             /* np, what the instance has */
+    double *x;             /* nx */
+    double *u;             /* nu */
+    double *value;         /* nmeasure, as are the next two: sums and extremes, */
+    double *held;          /* the last value, */
+    double *time;          /* the time of the extreme */
+    ph_accounts *accounts; /* as a run has them, */
+    double *books;         /* nbook: and all that they add up */
+    int nbook;
+    int loses; /* whether the scheme has a numerical loss */
     /* ncomp, as are all of the next: what of H is constant */
     double *constant;
-    double *reach;        /* most energy in play so far */
-    double *change;       /* of the stored energy since the start */
-    double *now;          /* stored energy, */
-    double *carry;        /* and what its sum has lost to rounding */
-    double *play;         /* energies in play in the step */
-    double *stirred;      /* most that moved within the component in a step */
-    double *missed;       /* sum of the residuals, */
-    double *missed_carry; /* and what it has lost to rounding */
-    double *squares;      /* sum of the squares of what the steps are allowed */
+    double *was;     /* stored energy at the start of the step, */
+    double *now;     /* at its end, */
+    double *carry;   /* and what its sum has lost to rounding */
+    double *varying; /* the larger of both, without what is constant if that is less */
 } ph_runs;
 
 /* Runs of n rows of values, with what of H is then constant [n*ncomp]; per run the measures, and the steps
