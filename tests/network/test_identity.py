@@ -56,6 +56,8 @@ BARE = {
     "wscc9",
     "wscc9_steady",
     "stall_start",
+    "short_circuit",
+    "inrush",
 }
 QUICK = {"oscillator", "drive"}
 
