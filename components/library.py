@@ -9,7 +9,7 @@ from typing import Any
 from phfmu import meant
 
 _E, _M, _S = "phfmu.components.electrical.", "phfmu.components.mechanical.", "phfmu.components.scenes."
-_C = "phfmu.components.control."
+_C, _B = "phfmu.components.control.", "phfmu.components.mechanical.mechanisms."
 
 LIBRARY: dict[str, tuple[str, str, str]] = {
     "synchronous_machine": (
@@ -68,6 +68,12 @@ LIBRARY: dict[str, tuple[str, str, str]] = {
     "mass_spring": ("component", _M + "mass_spring", "two masses, two springs, singular mass matrix reduced"),
     "chain": ("component", _M + "chain", "ten rigid links that hang from a support"),
     "net": ("component", _M + "net", "sheet of masses and springs, hung at two corners"),
+    "pendulum": ("component", _B + "pendulum", "point mass on a bar, from the horizontal"),
+    "four_bar": ("component", _M + "four_bar", "two four-bar windows, through flat positions"),
+    "andrews": ("component", _B + "andrews", "squeezer: seven bodies, three loops, a motor"),
+    "bricard": ("component", _B + "bricard", "five rods, six hinges, one equation too many"),
+    "flyball": ("component", _B + "flyball", "governor with stiff springs and dampers"),
+    "slider_crank": ("component", _B + "slider_crank", "crank, rod and piston with motor ports"),
     "heavy_top": ("component", _M + "heavy_top", "spinning disc on a stem, singular mass matrix"),
     "mass": ("component", _M + "translational", "mass with optional spring and damper to ground"),
     "spring": ("component", _M + "translational", "linear spring between two flanges"),
@@ -175,7 +181,15 @@ EXAMPLES: dict[str, dict[str, Any]] = {
 }
 
 #: Customary stop and step in seconds of components whose motion 1 s at 1 ms does not suit; scenes have their own.
-RUNS: dict[str, tuple[float, float]] = {"four_particle": (10.0, 0.01), "synchronous_machine": (0.1, 1e-4)}
+RUNS: dict[str, tuple[float, float]] = {
+    "four_particle": (10.0, 0.01),
+    "synchronous_machine": (0.1, 1e-4),
+    "pendulum": (10.0, 0.01),
+    "four_bar": (20.0, 0.005),
+    "andrews": (0.03, 1e-4),
+    "bricard": (10.0, 0.01),
+    "flyball": (10.0, 0.01),
+}
 
 
 #: those with switches: stepped by `SwitchedInstance`, in no unit

@@ -83,6 +83,10 @@ GAINS = {n for b in (sexs, exac1, ieeex1, st1a, tgov1, hygov, gast, pss1a, ieees
 GAINS = (GAINS | {"A_SE", "B_SE"}) - {"R", "r", "u_base"}
 
 
+#: places and axes of joints and springs of a mechanism
+PLACES = ("at_", "x_axis_", "y_axis_", "z_axis_")
+
+
 @pytest.mark.parametrize("name", LIBRARY)
 def test_every_parameter_of_the_library_that_must_be_positive_says_so(name):
     model = getattr(build(name), "declaration", lambda: build(name))()
@@ -107,7 +111,7 @@ def test_every_parameter_of_the_library_that_must_be_positive_says_so(name):
     }  # signs are a matter of direction
     for v in model.parameters:
         base = v.name.rsplit(".", 1)[-1]
-        signless = v.signal or base in free or base.startswith("M_")
+        signless = v.signal or base in free or base.startswith(("M_", *PLACES))
         signless = signless or base.endswith(("_at", "_second")) or (v.unit == "1" and base in GAINS)
         signless = signless and not (base == "k" and v.unit != "V.s/rad")  # a stiffness, not a torque constant
         for n, value in zip(v.names(), v.start, strict=True):

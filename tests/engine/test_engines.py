@@ -25,6 +25,10 @@ LONG = (
     "heavy_top",
     "rl_load",
     "machine_current",
+    "andrews",
+    "bricard",
+    "flyball",
+    "four_bar",
 )
 QUICK = [name for name in NAMES if name not in LONG]
 #: models whose rounding grows, and for how many steps it stays small

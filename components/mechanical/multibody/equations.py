@@ -25,6 +25,16 @@ QUARTER = ca.DM([[0.0, -1.0], [1.0, 0.0]])
 AXES = {"x": 0, "y": 1, "z": 2}
 
 
+@dataclass(frozen=True)
+class Observed:
+    """A point of a body [m, in its frame], or the coordinate of a joint, under a name of its own."""
+
+    name: str
+    of: Body | Joint
+    place: np.ndarray
+    description: str
+
+
 @dataclass
 class MechanismParts:
     """Bodies, joints and springs of a mechanism in the order they were added; gravity [m/s2] has three entries."""
@@ -36,6 +46,7 @@ class MechanismParts:
     bodies: list[Body] = field(default_factory=list)
     joints: list[Joint] = field(default_factory=list)
     springs: list[Spring] = field(default_factory=list)
+    observed: list[Observed] = field(default_factory=list)
 
 
 class Equations:
@@ -49,6 +60,7 @@ class Equations:
             self.made.gravity(mechanism.gravity[: self.dim].tolist())
         self.particles: dict[int, list[Particle]] = {}
         self.rho: dict[int, ca.SX] = {}
+        self.sides: dict[str, tuple[JointSide, JointSide]] = {}
 
     def phdae(self) -> PHDAE:
         for body in self.given.bodies:
@@ -57,7 +69,21 @@ class Equations:
             self._joint(joint)
         for spring in self.given.springs:
             self._spring(spring)
+        for observed in self.given.observed:
+            self._observe(observed)
         return self.made.build()
+
+    def _observe(self, observed: Observed) -> None:
+        of = observed.of
+        if isinstance(of, Joint):
+            coordinate = of.equations.coordinates[0]
+            sides = self.sides[of.name]
+            self.made.observable(
+                observed.name, coordinate.unit, lambda d: self._value(of, sides, coordinate, d), observed.description
+            )
+        else:
+            point = self.point(of, of.principal(observed.place)[: self.dim])
+            self.made.observable(observed.name, "m", lambda d: d.at(point), observed.description)
 
     # -- bodies -----------------------------------------------------------------------------------------------------
 
@@ -152,7 +178,7 @@ class Equations:
 
     def _joint(self, joint: Joint) -> None:
         m, name, kind = self.made, joint.name, joint.equations
-        sides = JointSide(self, joint, "a"), JointSide(self, joint, "b")
+        sides = self.sides[name] = JointSide(self, joint, "a"), JointSide(self, joint, "b")
         length = ca.SX(0)
         if joint.kind == "distance":
             length = m.parameter(f"{name}.length", joint.length, unit="m", positive=True, description=f"of {name}").sx

@@ -16,7 +16,7 @@ import numpy as np
 from phfmu import PHDAE
 from phfmu.components.mechanical.multibody.assembly import Assembly, require_closed, unallowed
 from phfmu.components.mechanical.multibody.body import Body, Spring, frame_along, tensor
-from phfmu.components.mechanical.multibody.equations import Equations, MechanismParts
+from phfmu.components.mechanical.multibody.equations import Equations, MechanismParts, Observed
 from phfmu.components.mechanical.multibody.joint import Joint, finite, known_kind
 from phfmu.components.mechanical.multibody.mobility import Mobility, mobility
 
@@ -200,6 +200,15 @@ class Mechanism:
         """
         ends = [(body, self._point(f"spring '{name}'", place)) for body, place in (a, b)]
         self.parts.springs.append(Spring(name, ends[0], ends[1], float(stiffness), float(length), float(damping)))
+
+    def observe(self, name: str, of: Body | Joint, place: Sequence[float] | None = None, description: str = "") -> None:
+        """An observable of its own: a point of a body at a place in its frame [m], or the coordinate of a joint."""
+        if isinstance(of, Joint) and len(of.equations.coordinates) != 1:
+            raise ValueError(
+                f"observable '{name}': joint '{of.name}' has {len(of.equations.coordinates)} coordinates, not one"
+            )
+        at = self._point(f"observable '{name}'", place)
+        self.parts.observed.append(Observed(name, of, at, description or f"{name} of {of.name}"))
 
     # -- start and declaration --------------------------------------------------------------------------------------
 
