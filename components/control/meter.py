@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from math import cos, pi, sqrt
 
 import casadi as ca
 import numpy as np
 
-from phfmu import ELECTRICAL, PHDAE, Port, algebraic, driven, parameter, signal_output, skew, state
+from phfmu import ELECTRICAL, PHDAE, Port, Variable, algebraic, driven, parameter, signal_output, skew, state
 
 #: of the phases a, b, c behind phase a
 ANGLES = (0.0, 2.0 * pi / 3.0, -2.0 * pi / 3.0)
 
 
 def meter(
-    Vn: float, Sn: float = 1e6, fn: float = 60.0, *, TR: float = 0.02, through: bool = False, kp: float = 60.0,
-    ki: float = 1400.0, angle: float = 0.0,
+    Vn: float, Sn: float = 1e6, fn: float = 60.0, *, TR: float = 0.02, through: bool = False, frequency: bool = True,
+    kp: float = 60.0, ki: float = 1400.0, angle: float = 0.0,
 ) -> PHDAE:  # fmt: skip
     """A meter at a bus, or `through` which a current flows from a to b: it takes no power, and its signals lag by TR > 0.
 
@@ -28,7 +29,7 @@ def meter(
     H:  0: its states have no energy;  J: J[v, i] (skew)
     Algebraic:       v [V], i [A] of the phases
     Ports:           a (voltage given); with `through` also b (current given): v_b = v_a, i_b = -i_a
-    Signal outputs:  V [1], f [Hz]; with `through` P, Q [1] from a to b
+    Signal outputs:  voltage [1], frequency [Hz] unless `frequency` is False; with `through` active, reactive [1] from a to b
     Vn [V rms, line to line], Sn [VA], fn [Hz]: rated;  kp [1/s], ki [1/s2]: of the loop that follows the angle;
     `angle` [rad]: of phase a at the start.  ValueError for TR that is not positive.
     """
@@ -41,25 +42,18 @@ def meter(
     i = algebraic("i", 3, unit="A", nominal=rated, elements=phases, description="current from a to b")
     begun = [peak * cos(angle - a) for a in ANGLES]
     v = algebraic("v", 3, unit="V", start=begun, nominal=peak, elements=phases, description="voltage of the phases")
-    lag, rated_v, rated_f = (
-        parameter(n, x, unit=u, positive=True) for n, x, u in (("TR", TR, "s"), ("Vn", Vn, "V"), ("fn", fn, "1/s"))
-    )
-    gain, integral = parameter("kp", kp, unit="1/s"), parameter("ki", ki, unit="1/s2")
+    lag, rated_v = (parameter(n, x, unit=u, positive=True) for n, x, u in (("TR", TR, "s"), ("Vn", Vn, "V")))
     size = ca.sqrt(ca.sumsqr(v.sx) + (1e-6 * rated_v) ** 2)
     V = state("V", start=1.0, description="voltage in per unit")
-    theta = state("theta", start=angle, unit="rad", description="angle that follows phase a")
-    x = state("x", unit="rad/s", nominal=2.0 * pi * fn, description="integral of the loop")
-    f = state("f", unit="1/s", start=fn, nominal=fn, description="frequency")
-    turned = [ca.sin(theta.sx - a) for a in ANGLES]
-    e = -sqrt(2.0 / 3.0) * ca.dot(v.sx, ca.vertcat(*turned)) / size
-    speed = 2.0 * pi * rated_f + gain * e + x
-    rates = {V: (size / rated_v - V) / lag, theta: speed, x: integral * e, f: (speed / (2.0 * pi) - f) / lag}
-    outputs = [
-        signal_output("voltage", V.sx, description="voltage in per unit"),
-        signal_output("frequency", f.sx, unit="1/s", description="frequency"),
-    ]
+    rates: dict[Variable, ca.SX] = {V: (size / rated_v - V) / lag}
+    outputs = [signal_output("voltage", V.sx, description="voltage in per unit")]
+    own: list[Variable] = [lag, rated_v]
+    if frequency:
+        follows = _loop(v, size, lag, fn, kp, ki, angle)
+        rates |= follows.rates
+        own += follows.parameters
+        outputs.append(signal_output("frequency", follows.f.sx, unit="1/s", description="frequency"))
     ports = [Port("a", ELECTRICAL, "effort", {i: 1.0}, size=3, nominal=peak, elements=phases, description="the bus")]
-    more: tuple = ()
     if through:
         power = parameter("Sn", Sn, unit="W", positive=True)
         P, Q = (state(n, description=t) for n, t in (("P", "active power"), ("Q", "reactive power")))
@@ -73,14 +67,36 @@ def meter(
         ports.append(
             Port("b", ELECTRICAL, "flow", {v: 1.0}, size=3, nominal=rated, elements=phases, description="away")
         )
-        more = (P, Q, power)
+        own.append(power)
     return PHDAE(
         "meter",
-        states=(V, theta, x, f, *more[:2]),
+        states=tuple(rates),
         algebraics=(i, v),
-        parameters=(lag, rated_v, rated_f, gain, integral, *more[2:]),
+        parameters=tuple(own),
         structure=(skew(v, i, 1.0),),
         ports=(*ports, driven("own", rates, description="the rates of what is measured; no work")),
         observables=tuple(outputs),
         description="meter of voltage, frequency and powers",
     )
+
+
+@dataclass(frozen=True)
+class _Loop:
+    """States that follow the angle of a voltage, with their rates."""
+
+    f: Variable
+    rates: dict[Variable, ca.SX]
+    parameters: list[Variable]
+
+
+def _loop(v: Variable, size: ca.SX, lag: Variable, fn: float, kp: float, ki: float, angle: float) -> _Loop:
+    rated = parameter("fn", fn, unit="1/s", positive=True)
+    gain, integral = parameter("kp", kp, unit="1/s"), parameter("ki", ki, unit="1/s2")
+    theta = state("theta", start=angle, unit="rad", description="angle that follows phase a")
+    x = state("x", unit="rad/s", nominal=2.0 * pi * fn, description="integral of the loop")
+    f = state("f", unit="1/s", start=fn, nominal=fn, description="frequency")
+    turned = [ca.sin(theta.sx - a) for a in ANGLES]
+    e = -sqrt(2.0 / 3.0) * ca.dot(v.sx, ca.vertcat(*turned)) / size
+    speed = 2.0 * pi * rated + gain * e + x
+    rates = {theta: speed, x: integral * e, f: (speed / (2.0 * pi) - f) / lag}
+    return _Loop(f, rates, [rated, gain, integral])

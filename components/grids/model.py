@@ -22,6 +22,7 @@ from phfmu.components.electrical.rlc_load import rlc_load
 from phfmu.components.electrical.sources import balanced_current_source
 from phfmu.components.electrical.switch import fault_resistor
 from phfmu.components.grids.angles import angles, apart
+from phfmu.components.grids.controls import KINDS, Controllers
 from phfmu.components.grids.machines import MODELS, dropped, machine_of
 from phfmu.components.grids.report import Report, Row
 from phfmu.importers.grid import Dynamics, Generator, Grid, GridError, Line, Transformer
@@ -74,17 +75,23 @@ class GridModel:
 
 
 def grid_model(
-    grid: Grid, *, plants: Plants = "refuse", faults: Collection[int] = (), breakers: Collection[str] = ()
+    grid: Grid,
+    *,
+    plants: Plants = "refuse",
+    faults: Collection[int] = (),
+    breakers: Collection[str] = (),
+    controls: bool = True,
 ) -> GridModel:
     """The network of a grid, begun flat at the voltages of the table, and what its operating point has to meet.
 
     plants: generators without data of a machine are refused, or constant balanced `currents`, as is a load of negative power
     faults: buses with a fault resistor, open;  breakers: lines (line1_2) whose poles can open
+    controls: exciters, governors and stabilisers of the dynamic data; without them field voltages and torques are constant
     GridError names what has no part here, and machines without data.
     """
     if plants not in ("refuse", "currents"):
         raise ValueError(f"plants = '{plants}' is neither refuse nor currents")
-    return _Build(grid, plants, faults, breakers).model()
+    return _Build(grid, plants, faults, breakers, controls).model()
 
 
 @dataclass
@@ -99,11 +106,12 @@ class _Node:
 
 
 class _Build:
-    def __init__(self, grid: Grid, plants: Plants, faults: Collection[int], breakers: Collection[str]):
+    def __init__(self, grid: Grid, plants: Plants, faults: Collection[int], breakers: Collection[str], controls: bool):
         self.grid, self.plants = grid, plants
         self.omega = 2.0 * pi * grid.frequency
         self.bus = grid.bus
         self.net = Network(_identifier(grid.name) or "grid", description=f"{grid.name}: {len(grid.buses)} buses")
+        self.controls = Controllers(self.net, grid.dynamics, grid.frequency) if controls else None
         self.rows: list[Row] = []
         self.notes: list[str] = [f"not represented: {line}" for line in grid.unused]
         self.specifications: list[Specification] = []
@@ -151,6 +159,8 @@ class _Build:
                 )
         if self.problems:
             raise GridError(self.grid.name, self.problems)
+        if self.controls:
+            self.net.signals(self.controls.wires)
         self._account_of_dynamics()
         return GridModel(self.grid, self.net, tuple(self.specifications), Report(tuple(self.rows), tuple(self.notes)))
 
@@ -387,9 +397,24 @@ class _Build:
         theta = next(v for v in model.states if v.name == "theta").start[0] + self.angle[g.bus]
         self.net.add(name, model.with_starts({"theta": theta}))
         self.nodes[g.bus].ends.append(f"{name}.terminal")
-        self._specify(f"{name}.terminal", g.bus, complex(g.p, g.q), holds, None)
-        unused = "; ".join(x for x in (remote, dropped(data), "limits of q") if x)
-        self.rows.append(Row(kind, device, (name,), f"{used}, {data.model}", unused, "field and torque constant"))
+        unused, assumed, free = [remote, dropped(data), "limits of q"], ["field and torque constant"], None
+        if self.controls:
+            try:
+                found = self.controls.add(name, g.id, machine, self.bus[g.bus], self.angle[g.bus], g.p / g.base)
+            except (GridError, ValueError) as error:
+                self.problems += str(error).splitlines()
+                return
+            constant = [w for w, n in zip(("field", "torque"), found.free, strict=True) if n.startswith(f"{name}.")]
+            free, used = (found.free[0], found.free[1]), ", ".join([used, data.model, *found.used])
+            assumed = [*([f"{' and '.join(constant)} constant"] if constant else []), *found.assumed]
+            unused += found.unused
+            meter = f"meter{g.bus}.a"
+            if "meter" + str(g.bus) in self.net.members and meter not in self.nodes[g.bus].ends:
+                self.nodes[g.bus].ends.append(meter)
+        else:
+            used = f"{used}, {data.model}"
+        self._specify(f"{name}.terminal", g.bus, complex(g.p, g.q), holds, free)
+        self.rows.append(Row(kind, device, (name,), used, "; ".join(filter(None, unused)), "; ".join(assumed)))
 
     def _current_plant(self, name: str, bus: int, s: complex, size: float, holds: bool | None) -> bool:
         """A balanced current that meets P and Q (or the voltage); False where it would be no current at all."""
@@ -411,11 +436,14 @@ class _Build:
         else:
             self.specifications.append(PQ(port, free, P=s.real * 1e6, Q=s.imag * 1e6))
 
+    def _known_models(self) -> set[str]:
+        return {*MODELS, *(m for models in KINDS.values() for m in models if self.controls)}
+
     def _account_of_dynamics(self) -> None:
         """Dynamic data that no part takes, by model."""
         count: dict[str, int] = {}
         for d in self.grid.dynamics:
-            if d.model not in MODELS:
+            if d.model not in self._known_models():
                 count[d.model] = count.get(d.model, 0) + 1
         self.notes += [f"not represented: {n} {model}" for model, n in count.items()]
 

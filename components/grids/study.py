@@ -64,18 +64,21 @@ def grid_scene(
     faults: Sequence[Fault] = (),
     trips: Sequence[Trip] = (),
     plants: Plants = "refuse",
+    controls: bool = True,
     stop: float = 1.0,
     step: float = 5e-5,
 ) -> Scene:
     """The grid in its operating point, with the faults and trips as events; the scene's notes are the account of the import.
 
-    stop, step [s]: of the run.  GridError for data without parts; NoOperatingPoint where there is none.
+    plants, controls: those of `grid_model`;  stop, step [s]: of the run
+    GridError for data without parts; NoOperatingPoint where there is none.
     """
     ends = [f.end for f in faults]
     if open_ended := [t.branch for t in trips if t.t is None and not ends]:
         raise ValueError(f"trip of {open_ended[0]}: say when ({open_ended[0]}:0.2), as there is no fault that ends")
     buses = list(dict.fromkeys(f.bus for f in faults))
-    model = grid_model(grid, plants=plants, faults=buses, breakers=[t.branch for t in trips])
+    breakers = [t.branch for t in trips]
+    model = grid_model(grid, plants=plants, faults=buses, breakers=breakers, controls=controls)
     events = [e for f in faults for e in _events(model, f)]
     events += [
         Event(min(ends) if t.t is None else t.t, f"{model.branch(t.branch)}.command", 0.0)

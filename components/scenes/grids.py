@@ -17,13 +17,22 @@ def public_grid(name: str) -> Grid:
     return read_grid(DATA / name / f"{name}.raw", DATA / name)
 
 
-def ieee39(*, bus: int = 16, t_fault: float = 0.1, t_clear: float = 0.2, trip: str = "", stop: float = 1.0) -> Scene:
-    """39 buses and ten machines with dampers; a fault of 0.001 pu at `bus` from t_fault to t_clear [s].
+def ieee39(
+    *,
+    bus: int = 16,
+    t_fault: float = 0.1,
+    t_clear: float = 0.2,
+    trip: str = "",
+    stop: float = 1.0,
+    controls: bool = True,
+) -> Scene:
+    """39 buses, ten machines with exciters (SEXS) and governors (GAST); a fault of 0.001 pu at `bus` from t_fault to t_clear [s].
 
     trip: a line (`line16_17`) whose poles open from t_clear on at their current zeros;  stop [s]: end of the run
+    controls: without them field voltages and torques are constant.  Members gen30, avr30, gov30, meter30, ..
     Source: ParaEMT_public of NREL, BSD 3-clause; phfmu/components/grids/data.
     """
-    return _faulted("ieee39", bus, t_fault, t_clear, trip, stop)
+    return _faulted("ieee39", Fault(bus, t_fault, t_clear), trip, stop, controls)
 
 
 def new_england(
@@ -33,17 +42,25 @@ def new_england(
 
     Source: case39 of MATPOWER; machines of Pai, Energy Function Analysis for Power System Stability, 1989.
     """
-    return _faulted("new_england", bus, t_fault, t_clear, trip, stop)
+    return _faulted("new_england", Fault(bus, t_fault, t_clear), trip, stop, False)
 
 
 def wecc240(
-    *, bus: int = 3803, t_fault: float = 0.1, t_clear: float = 0.15, trip: str = "", stop: float = 0.5
+    *,
+    bus: int = 3803,
+    t_fault: float = 0.1,
+    t_clear: float = 0.15,
+    trip: str = "",
+    stop: float = 0.5,
+    controls: bool = True,
 ) -> Scene:
-    """243 buses of the reduced WECC system, 111 machines, 91 plants as constant currents; the arguments are those of `ieee39`.
+    """243 buses of the reduced WECC system, 111 machines with their controllers, 91 plants as constant currents.
+
+    The arguments are those of `ieee39`.
 
     Source: ParaEMT_public of NREL, BSD 3-clause; phfmu/components/grids/data.
     """
-    return _faulted("wecc240", bus, t_fault, t_clear, trip, stop)
+    return _faulted("wecc240", Fault(bus, t_fault, t_clear), trip, stop, controls)
 
 
 def grid(n: int = 100, *, seed: int = 0, stop: float = 0.5) -> Scene:
@@ -51,8 +68,7 @@ def grid(n: int = 100, *, seed: int = 0, stop: float = 0.5) -> Scene:
     return grid_scene(lattice(n, seed), faults=[Fault(1, 0.1, 0.15)], stop=stop)
 
 
-def _faulted(name: str, bus: int, t_fault: float, t_clear: float, trip: str, stop: float) -> Scene:
+def _faulted(name: str, fault: Fault, trip: str, stop: float, controls: bool) -> Scene:
     return grid_scene(
-        public_grid(name), faults=[Fault(bus, t_fault, t_clear)], trips=[Trip(trip)] if trip else [], plants="currents",
-        stop=stop,
+        public_grid(name), faults=[fault], trips=[Trip(trip)] if trip else [], plants="currents", controls=controls, stop=stop,
     )  # fmt: skip

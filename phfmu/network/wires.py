@@ -257,8 +257,11 @@ def in_order(members: Mapping[str, PHDAE | UnitFile], wires: Sequence[Wire]) -> 
 def _sorted(members: Mapping[str, PHDAE | UnitFile], wires: Sequence[Wire], units_pass: bool) -> list[int]:
     """Numbers of the wires in order; `units_pass`: outputs of units depend on all their inputs.  CycleError."""
     sorter: TopologicalSorter[int] = TopologicalSorter()
+    into: dict[str, list[int]] = {}
     for i, wire in enumerate(wires):
-        fed = [j for j, other in enumerate(wires) if other.target == wire.source]
+        into.setdefault(wire.target, []).append(i)
+    for i, wire in enumerate(wires):
+        fed = into.get(wire.source, [])
         model, name = members[wire.source], wire.output.partition("[")[0]
         if not isinstance(model, PHDAE):
             sorter.add(i, *(fed if units_pass else ()))

@@ -84,7 +84,7 @@ class Finder:
             return
         model = terms.model
         self.x, self.z = model.x, costate_symbols(model)
-        self.expr = row_expressions(terms, rows, self.z)
+        self.expr = self._without_zeros(row_expressions(terms, rows, self.z))
         self.L = {r: -ca.jacobian(self.expr[r], self.z) for r in rows}
         self.place = {r: i for i, r in enumerate(rows)}
         L = ca.vertcat(*self.L.values())
@@ -100,6 +100,27 @@ class Finder:
             found = remedy(linear.issuperset(cluster), self._unfit(cluster), partial(self._at_start, S), bent)
             if found is not None:
                 self.nodes += [BareNode(r, names[r], *found) for r in cluster]
+
+    def _without_zeros(self, rows: dict[int, ca.SX]) -> dict[int, ca.SX]:
+        """The rows without algebraic variables that a row of their own makes zero: the current of an ideal meter."""
+        algebraics = {s.element_hash(): s for v in self.terms.model.algebraics for s in ca.vertsplit(v.sx)}
+        inside = {s.element_hash() for expr in rows.values() for s in ca.symvar(expr)} & set(algebraics)
+        if not inside:
+            return rows
+        others = row_expressions(self.terms, [r for r in range(len(algebraics)) if r not in rows], self.z)
+        zero = []
+        for expr in others.values():
+            alone = ca.symvar(expr)
+            if len(alone) == 1 and alone[0].element_hash() in inside:
+                slope, rest = ca.jacobian(expr, alone[0]), ca.substitute(expr, alone[0], 0)
+                if slope.is_constant() and float(slope) and ca.simplify(rest).is_zero():
+                    zero.append(alone[0])
+        if not zero:
+            return rows
+        symbols = ca.vertcat(*zero)
+        return {
+            r: ca.simplify(ca.substitute(expr, symbols, ca.SX.zeros(symbols.numel(), 1))) for r, expr in rows.items()
+        }
 
     def _linear(self, L: ca.SX, rows: list[int]) -> set[int]:
         """Rows whose c is linear in the state."""

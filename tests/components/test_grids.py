@@ -19,6 +19,7 @@ from phfmu.components.grids import Fault, GridModel, Trip, fault_of, grid_model,
 from phfmu.components.grids.lattice import lattice
 from phfmu.components.scenes.grids import public_grid
 from phfmu.importers.grid import Demand, Grid, GridError, Line, Shunt, Transformer, read_raw, with_dynamics
+from tests.wide import wide
 
 CASES = Path(__file__).parent.parent / "reference" / "data" / "grids"
 ALPHA = np.array([0.0, 2.0 * pi / 3.0, -2.0 * pi / 3.0])
@@ -26,7 +27,7 @@ ALPHA = np.array([0.0, 2.0 * pi / 3.0, -2.0 * pi / 3.0])
 
 @cache
 def model(name: str) -> GridModel:
-    return grid_model(public_grid(name), plants="currents")
+    return grid_model(public_grid(name), plants="currents", controls=False)
 
 
 @cache
@@ -178,7 +179,7 @@ def steady(net: Network, m: GridModel, steps: int = 100, step: float = 5e-5) -> 
 
 @cache
 def faulted(order: int) -> tuple[Scene, Any]:
-    scene = grid_scene(public_grid("ieee39"), faults=[Fault(16, 0.1, 0.2)], stop=0.3)
+    scene = grid_scene(public_grid("ieee39"), faults=[Fault(16, 0.1, 0.2)], controls=False, stop=0.3)
     declaration = scene.declaration()
     unit = NativeInstance(build_model(declaration, Collocated(order // 2)))
     options = Options(stop=scene.stop, step=scene.step, events=scene.events, restart=scene.restart)
@@ -206,6 +207,52 @@ def test_a_fault_on_39_buses() -> None:
         speeds[order] = r.column("gen33.p")[-1] / r.column("gen33.p")[0] - 1.0
     assert 1e-3 < speeds[4] < 6e-3
     assert speeds[2] == pytest.approx(speeds[4], rel=2e-3)
+
+
+@cache
+def controlled(name: str) -> GridModel:
+    return grid_model(public_grid(name), plants="currents", faults=[public_grid(name).slack.number])
+
+
+@pytest.mark.parametrize("name", wide(["ieee39", "wecc240"], "ieee39"))
+def test_controllers_of_the_tables_begin_at_what_the_power_flow_asks(name: str) -> None:
+    """The network is the one without them; each exciter gives the field voltage K (Vref - V), each turbine its torque."""
+    m, bare = controlled(name), model(name)
+    assert m.point.residual < 1e-10
+    for member, field in bare.point.inputs.items():
+        if member.startswith("gen") and member.endswith((".field.v", ".shaft.torque")):
+            assert m.point.parameters[member] == pytest.approx(field, rel=1e-9)
+    values = m.point.states | m.point.parameters
+    exciters = [n for n in m.network.members if n.startswith("avr")]
+    assert len(exciters) == sum(d.model == "SEXS" for d in m.grid.dynamics)
+    for n in exciters:
+        efd = values[f"{n}.K"] * (values[f"{n}.Vref"] + values[f"{n}.Vs"] - values[f"{n}.V"])
+        assert efd == pytest.approx(values[f"{n}.Efd"], rel=1e-9)
+        assert values[f"{n}.EMIN"] <= efd <= values[f"{n}.EMAX"]
+
+
+def test_exciters_meet_and_leave_their_limits_in_a_fault_and_the_nodes_of_machines_hold() -> None:
+    """39 buses: the field voltage of machine 31 as a prototype of its own found it, those at their limit stay at exactly that,
+    and Kirchhoff's law holds at the bare nodes where the meters stand."""
+    s = grid_scene(public_grid("ieee39"), faults=[Fault(16, 0.1, 0.2)], stop=0.3)
+    unit = NativeInstance(build_model(s.declaration(), Collocated(1)))
+    r = run(Monolithic(unit.model, unit), Options(stop=s.stop, step=s.step, events=s.events, restart=s.restart))
+    assert r.ledger.summary().closed
+    assert r.column("avr31.Efd")[0] == pytest.approx(2.0731, abs=1e-4)
+    assert r.column("avr31.Efd").max() == pytest.approx(2.826, abs=1e-3)
+    limited = [n for n in (33, 35, 36) if r.column(f"avr{n}.Efd").max() == 3.0]
+    assert limited == [33, 35, 36]
+    kirchhoff = np.abs(unit.signal("observables")[-len(unit.model.checks) :])
+    assert (kirchhoff <= 1e-12 * np.array(unit.model.check_scale)).all()
+
+
+def test_two_exciters_of_one_machine_are_refused_and_limits_below_the_power_told() -> None:
+    grid = public_grid("ieee39")
+    more = tuple(replace(d, model="HYGOV") for d in grid.dynamics if d.model == "GAST" and d.bus == 30)
+    with pytest.raises(GridError, match=r"bus 30, machine 'G': HYGOV and GAST are both a governor"):
+        grid_model(replace(grid, dynamics=(*grid.dynamics, *more)))
+    low = tuple(replace(d, values={**d.values, "Vmax": 0.1}) if d.model == "GAST" else d for d in grid.dynamics)
+    assert "GAST: Vmax raised" in grid_model(replace(grid, dynamics=low)).report.of("gen30").assumed
 
 
 def test_a_line_trips_at_its_current_zeros() -> None:

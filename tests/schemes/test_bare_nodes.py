@@ -18,6 +18,7 @@ from phfmu import (
     PythonInstance,
     build_model,
 )
+from phfmu.components.control import meter
 from phfmu.components.electrical.machines.machine_data import machine_set
 from phfmu.components.electrical.machines.machine_init import steady_state
 from phfmu.components.electrical.machines.synchronous_machine import synchronous_machine
@@ -259,3 +260,23 @@ class Rows:
 
     def __getattr__(self, name: str):
         return lambda *args, **kwargs: None
+
+
+@pytest.mark.parametrize("k", [1, 2])
+def test_an_ideal_meter_at_a_bare_node_changes_nothing(k: int) -> None:
+    """Its current is an algebraic variable that is zero by a row of its own: Kirchhoff at the step ends needs the pairs still."""
+    scene = smib()
+    net = Network("metered")
+    for name, member in (*scene.system.members.items(), ("meter", meter(24e3, 555e6, frequency=False))):
+        net.add(name, member)
+    net.junction("bus1", ["gen.terminal", "line.a", "meter.a"])
+    net.junction("bus2", ["line.b", "grid.terminal"])
+    events = (Event(0.0, "gen.shaft.torque", scene.events[0].value),)
+    found = []
+    for declaration in (net.compose(), scene.declaration()):
+        unit = NativeInstance(build_model(declaration, Collocated(k)))
+        r = run(Monolithic(unit.model, unit), Options(stop=STOP, step=2e-4, events=events))
+        checks = np.abs(unit.signal("observables")[-len(unit.model.checks) :])
+        assert (checks <= 1e-13 * np.array(unit.model.check_scale)).all()
+        found.append(np.array([r.column(f"gen.I[{j}]") for j in (1, 2, 3)]))
+    assert np.abs(found[0] - found[1]).max() < 1e-11 * RATED
