@@ -43,7 +43,12 @@ EVENTS = {
     "six_pulse": (2.5e-4, 2e-3), "buck": (5e-6, 6e-5), "bead": (0.04, 0.8),
 }  # fmt: skip
 #: outputs of the step before make so much energy there that the run is stopped
-STOPPED = {("breaker_opening", "jacobi"), ("smib_breaker", "anderson, stopped")}
+STOPPED = {
+    ("breaker_opening", "jacobi"),
+    ("smib_breaker", "anderson, stopped"),
+    ("inrush", "gauss-seidel"),
+    ("inrush", "jacobi"),
+}
 SCENES = [n for n, (kind, *_) in LIBRARY.items() if kind == "scene"]
 #: nodes where only inductive branches meet: no output gives their voltage at an instant
 BARE = {
@@ -57,7 +62,6 @@ BARE = {
     "wscc9_steady",
     "stall_start",
     "short_circuit",
-    "inrush",
 }
 QUICK = {"oscillator", "drive"}
 
