@@ -123,12 +123,15 @@ def apart(net, k, **more):
 
 @pytest.mark.parametrize("k", wide([1, 2, 3], 2))
 def test_members_stepped_apart_ring_at_all_orders(k, monkeypatch):
-    """Where a composed run is told of it; rows are the same to the bit."""
+    """Where a composed run is told of it, which at order 6 swings too little; rows are the same to the bit."""
     options = {"stop": 0.0115, "step": STEP, "events": EVENTS}
     watched = run(apart(network(), k), Options(**options))
-    first = next(n for n in watched.notes if n.startswith("ringing"))
-    assert first.startswith("ringing after bus.G = 1 at t = 0.005 s") and "bus.q by" in first
-    assert ("stay beside" in first) == (k == 2)
+    whole = run(composed(network().compose(), Collocated(k)), Options(**options))
+    first, same = ([n for n in r.notes if n.startswith("ringing")] for r in (watched, whole))
+    assert [n.partition(" by ")[0] for n in first] == [n.partition(" by ")[0] for n in same] and len(first) == (k < 3)
+    for note in first:
+        assert note.startswith("ringing after bus.G = 1 at t = 0.005 s") and "bus.q by" in note
+        assert ("stay beside" in note) == (k == 2)
     monkeypatch.setattr(ringing, "WINDOWS", 0)
     blind = run(apart(network(), k), Options(**options))
     assert not any("ring" in n for n in blind.notes)
