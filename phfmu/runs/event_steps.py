@@ -18,7 +18,7 @@ from phfmu.outcome.limits import LIMITS, defined
 from phfmu.outcome.status import StepFailure
 from phfmu.outcome.steps import StepEvent
 from phfmu.runs.book import Book
-from phfmu.runs.march import Pace, goals, pieces, step_rows
+from phfmu.runs.march import Pace, blocks_of_goals, next_goal, pieces, step_rows
 from phfmu.runs.options import Options
 from phfmu.runs.restart import Restart
 from phfmu.runs.ringing import Ringing
@@ -165,20 +165,20 @@ class AdaptiveEventSteps:
         yield from self._booked.rows(self.stepper.land(t, 0.0, 1))  # what happens at once
         left = left if self._booked.event is None else self.restart
         self._adaptive.after_event()
-        for goal in goals(stretch.start, stretch.end, self.landing):
-            while t < goal:
+        for ahead in blocks_of_goals(stretch.start, stretch.end, self.landing):
+            while t < ahead[-1]:
                 if self._march is None or (left and self._damped is not None):
-                    t = yield from self._one(t, goal, left > 0)
+                    t = yield from self._one(t, next_goal(ahead, t), left > 0)
                     left = max(left - 1, 0)
                 else:
-                    t = yield from self._many(self._march, t, goal)
+                    t = yield from self._many(self._march, t, ahead)
                 left = left if self._booked.event is None else self.restart
 
-    def _many(self, march: NativeMarch, t: float, goal: float) -> Generator[Row, None, float]:
+    def _many(self, march: NativeMarch, t: float, ahead: Array) -> Generator[Row, None, float]:
         """Steps of compiled code; where they end."""
         own, room, taken = self.stepper.instance, self._pace.steps, 0
         before = self.stepper.row_before(own)
-        parts = self.stepper.landings(own, before, march.land(t, goal, room))
+        parts = self.stepper.landings(own, before, march.land(t, ahead, room))
         for row in self._booked.rows(parts):
             taken += len(row[0])
             yield row

@@ -8,6 +8,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Iterator
 from functools import cached_property
+from itertools import islice
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
@@ -60,6 +61,18 @@ def goals(start: float, end: float, landing: float) -> Iterator[float]:
         for i in range(1, n + 1):
             goal = t + i * h
             yield end if abs(goal - end) <= 1e-9 * h else goal
+
+
+def blocks_of_goals(start: float, end: float, landing: float) -> Iterator[Array]:
+    """The same in arrays of at most `BLOCK`."""
+    remaining = goals(start, end, landing)
+    while block := list(islice(remaining, BLOCK)):
+        yield np.array(block)
+
+
+def next_goal(ahead: Array, t: float) -> float:
+    """The first of the times `ahead` after t."""
+    return float(ahead[np.searchsorted(ahead, t, side="right")])
 
 
 class Pace:
@@ -177,9 +190,9 @@ class AdaptiveSteps:
         self.adaptive.after_event()
         times, rows, left = [start], [], self.restart if event else 0
         try:
-            for goal in goals(start, end, self.landing):
-                while times[-1] < goal:
-                    ends, steps, failure = self._taken(times[-1], goal, left > 0, self._pace.steps - len(times) + 1)
+            for ahead in blocks_of_goals(start, end, self.landing):
+                while times[-1] < ahead[-1]:
+                    ends, steps, failure = self._taken(times[-1], ahead, left > 0, self._pace.steps - len(times) + 1)
                     left = max(left - 1, 0)
                     times += ends
                     rows += [] if steps is None else [steps]
@@ -207,13 +220,13 @@ class AdaptiveSteps:
         return not_damped(self._wanted - self._restarted, self._wanted)
 
     def _taken(
-        self, t: float, goal: float, damped: bool, room: int
+        self, t: float, ahead: Array, damped: bool, room: int
     ) -> tuple[list[float], Steps | None, StepFailure | None]:
         """When accepted steps from t ended, at most `room`, the steps, and why there are no more; one if it is to be `damped`."""
         if self._march is not None and not damped:
-            found = self._march.take(t, goal, room)
+            found = self._march.take(t, ahead, room)
             return found.ends, found.steps, found.failure
-        ends, steps = self.adaptive.advance(t, goal, damped)
+        ends, steps = self.adaptive.advance(t, next_goal(ahead, t), damped)
         self._wanted += damped
         self._restarted += damped and steps.numerical is not None
         return ends, steps, None

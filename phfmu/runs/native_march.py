@@ -30,15 +30,27 @@ CONTROL = ("h", "last", "smallest", "largest", "rejected")
 MISSED, SMALL = -1, -2
 
 
+class _Goals(ctypes.Structure):
+    """ph_goals."""
+
+    _fields_ = [("t", ctypes.c_void_p), ("n", ctypes.c_int)]
+
+    @classmethod
+    def of(cls, goals: Array) -> _Goals:
+        """The structure for an array that outlives the call."""
+        return cls(goals.ctypes.data, len(goals))
+
+
 @cache
 def _library() -> ctypes.CDLL:
     """The runtime with the signatures of march.h; CompilerMissing, CompileError."""
     lib = drivers()
-    pointer, real, integer = ctypes.c_void_p, ctypes.c_double, ctypes.c_int
+    pointer, integer = ctypes.c_void_p, ctypes.c_int
     record = ctypes.POINTER(Record)
     lib.ph_march_steps.restype = lib.ph_march_landed.restype = integer
-    lib.ph_march_steps.argtypes = [pointer, record, real, integer, ctypes.POINTER(integer)]
-    lib.ph_march_landed.argtypes = [pointer, record, real, ctypes.POINTER(LandedRows), pointer]
+    goals = ctypes.POINTER(_Goals)
+    lib.ph_march_steps.argtypes = [pointer, record, goals, integer, ctypes.POINTER(integer)]
+    lib.ph_march_landed.argtypes = [pointer, record, goals, ctypes.POINTER(LandedRows), pointer]
     return lib
 
 
@@ -110,9 +122,11 @@ class NativeMarch:
         present = [i if i.model.modes is None else i.present for i in both]
         return plain and all(type(i) is NativeInstance and i.handle.kicked is None for i in present)
 
-    def take(self, t: float, goal: float, room: int) -> Marched:
-        """Accepted steps from t, not beyond `goal`, about `room` at most; after a failure the instance is where the last one
-        ended."""
+    def take(self, t: float, goals: Array, room: int) -> Marched:
+        """Accepted steps from t that land on `goals` (n) up to the last one, about `room` at most.
+
+        After a failure the instance is where the last one ended.
+        """
         stepper, done = self._adaptive.stepper, ctypes.c_int()
         room = max(room, self._adaptive.parts)
         rows, request = self._record(room)
@@ -120,13 +134,13 @@ class NativeMarch:
             self._ends = np.zeros(room)
             self._march.ends = self._ends.ctypes.data
         stepper.instance.expect(room)
-        code = self._called(t, lambda at: self._lib.ph_march_steps(at, request, goal, room, done))
+        code = self._called(t, lambda at: self._lib.ph_march_steps(at, request, _Goals.of(goals), room, done))
         n = done.value
         steps = stepper.steps_of(stepper.instance, {name: values[:n] for name, values in rows.items()}) if n else None
         return Marched(self._ends[:n].tolist(), steps, self._failure(code) if code else None)
 
-    def land(self, t: float, goal: float, room: int) -> Iterator[Landed]:
-        """The same with guards: steps and events from t, not beyond `goal`; StepFailure after those before it."""
+    def land(self, t: float, goals: Array, room: int) -> Iterator[Landed]:
+        """The same with guards: steps and events; StepFailure after those before it."""
         stepper, landing = self._adaptive.stepper, self._landing
         found: Room = landing.room(room, stepper.landed_records(stepper.instance))
         switched = stepper.model.modes is not None
@@ -135,7 +149,9 @@ class NativeMarch:
             self._adaptive.other.native.push()
         code = self._called(
             t,
-            lambda at: self._lib.ph_march_landed(at, found.request, goal, found.out, found.changed.ctypes.data),
+            lambda at: self._lib.ph_march_landed(
+                at, found.request, _Goals.of(goals), found.out, found.changed.ctypes.data
+            ),
         )
         if switched:
             landing.pull()

@@ -139,11 +139,31 @@ def test_steps_that_land_on_state_events_march_in_compiled_code(name: str, order
     declaration = scene.declaration()
     model = build_model(declaration, default_scheme(declaration, order))
     events = [e for e in scene.events if e.t < stop]
-    for more in ({}, {"restart": 2}, {"landing": stop / 3}, *([] if model.modes else [{"dense": 3}])):
+    cases: list[dict[str, Any]] = [{}, {"restart": 2}, {"landing": stop / 3}]
+    for more in cases if model.modes else [*cases, {"dense": 3}]:
         one, two = both(model, Options(stop=stop, step=step, rtol=rtol, events=events, **more))
         same(one, two, tuple(f for f in FACTS if f != "iterations"))
         assert one.iterations <= two.iterations
         assert one.ledger.summary().events["state"]
+
+
+@pytest.mark.parametrize("name", wide(["smib", "bouncing_ball"], "bouncing_ball"))
+def test_many_times_are_landed_on_in_one_call(name: str, compiler: None) -> None:
+    """Every row of a grid of 500 is there to the last bit, in fewer calls than goals by far."""
+    scene, calls = build(name), []
+    model = build_model(scene.declaration(), default_scheme(scene.declaration(), 2))
+    kind = "take" if model.events is None else "land"
+    compiled = getattr(NativeMarch, kind)
+
+    def counted(self: NativeMarch, *given: Any) -> Any:
+        calls.append(given)
+        return compiled(self, *given)
+
+    with patch.object(NativeMarch, kind, counted):
+        options = Options(stop=0.5, step=1e-3, rtol=1e-3, landing=1e-3)
+        result = run(Monolithic(model, NativeInstance(model)), options)
+    assert set((0.5 / 500 * np.arange(1, 501)).tolist()) <= set(result.time.tolist())
+    assert len(calls) < 50
 
 
 def test_bounces_that_pile_up_within_one_step_come_to_rest_in_compiled_code(compiler: None) -> None:

@@ -264,10 +264,19 @@ static int accepted(ph_march *m, const ph_place *at, double goal, double *end) {
     }
 }
 
-int ph_march_steps(ph_march *m, const ph_record *record, double goal, int room, int *done) {
+/* The first goal that is not reached yet, from *at on; 0: there is none. */
+static int next_goal(const ph_march *m, const ph_goals *goals, int *at, double *goal) {
+    while (*at < goals->n && m->t >= goals->t[*at])
+        ++*at;
+    *goal = *at < goals->n ? goals->t[*at] : m->t;
+    return *at < goals->n;
+}
+
+int ph_march_steps(ph_march *m, const ph_record *record, const ph_goals *goals, int room, int *done) {
     ph_place at = {*record, NULL, NULL};
-    for (*done = 0; *done + m->parts <= room && m->t < goal; *done += m->parts) {
-        double end;
+    double goal, end;
+    int passed = 0;
+    for (*done = 0; *done + m->parts <= room && next_goal(m, goals, &passed, &goal); *done += m->parts) {
         const int status = accepted(m, &at, goal, &end);
         if (status)
             return status;
@@ -304,11 +313,13 @@ static void add(ph_landed *out, const ph_landed *rest) {
     out->events += rest->events;
 }
 
-int ph_march_landed(ph_march *m, const ph_record *record, double goal, ph_landed *out, signed char *changed) {
+int ph_march_landed(ph_march *m, const ph_record *record, const ph_goals *goals, ph_landed *out,
+                    signed char *changed) {
     const int nswitch = (m->nside - 1) / 2;
-    int status = PH_OK;
+    int status = PH_OK, passed = 0;
+    double goal;
     out->steps = out->events = 0;
-    while (status == PH_OK && m->t < goal) {
+    while (status == PH_OK && next_goal(m, goals, &passed, &goal)) {
         ph_landed rest = behind(m, out);
         ph_place at = {*record, &rest, changed + (ptrdiff_t)out->events * nswitch};
         double end = m->end;

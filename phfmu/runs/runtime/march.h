@@ -83,13 +83,19 @@ typedef struct ph_march {
     int worst;      /* in which state, out */
 } ph_march;
 
-/* Accepted steps from m->t, not beyond the goal, at most `room`, which is `parts` at least; *done: how many.
- * PH_OK, PH_MISSED, PH_SMALL, or why a step as short as allowed is refused: then the instance is where the
- * last accepted step ended. */
-PH_API int ph_march_steps(ph_march *m, const ph_record *record, double goal, int room, int *done);
+/* Times that are landed on, in order; not beyond the last one. */
+typedef struct ph_goals {
+    const double *t; /* n */
+    int n;
+} ph_goals;
+
+/* Accepted steps from m->t, at most `room`, which is `parts` at least; *done: how many. PH_OK, PH_MISSED,
+ * PH_SMALL, or why a step as short as allowed is refused: then the instance is where the last accepted step
+ * ended. */
+PH_API int ph_march_steps(ph_march *m, const ph_record *record, const ph_goals *goals, int room, int *done);
 /* The same with guards: steps end on their zeros too. out, changed: as those of ph_modes_land; one step with
  * its events may have as many rows and events as there is room for, and goes on in the next call. */
-PH_API int ph_march_landed(ph_march *m, const ph_record *record, double goal, ph_landed *out,
+PH_API int ph_march_landed(ph_march *m, const ph_record *record, const ph_goals *goals, ph_landed *out,
                            signed char *changed);
 
 #endif
