@@ -11,17 +11,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from phfmu.discretise.model import Model
 from phfmu.engine.instance import Signals
-from phfmu.engine.landing.landing import Change
-from phfmu.engine.landing.mode_change import decide
 from phfmu.engine.model import require_no_landing
 from phfmu.engine.record import Grid, recordable
 from phfmu.engine.reference.python import PythonInstance
 from phfmu.events.modes import Mode
-from phfmu.events.switch_system import At
 from phfmu.outcome.limits import is_sliver
 from phfmu.outcome.status import StepFailure
 from phfmu.outcome.steps import Happened, Landed
-from phfmu.terms.canonical import member
 
 if TYPE_CHECKING:
     from phfmu.engine.native.native_modes import NativeModes
@@ -115,28 +111,6 @@ class SwitchedInstance(Signals):
     def unsettled(self) -> bool:
         """Modes were set, or it has not landed yet, so that its modes may not fit its state."""
         return self._asked != self._mode or not self._started
-
-    def change(self, p: Array, h: float) -> Change:
-        """Takes the parameters p and the mode that follows from those in it and from the laws of the switches.
-
-        EventRefused if no mode obeys the laws, or if a switch that opens would cut more than it may.
-        """
-        old, switches = self.present, self._models.modes.switches
-        at = At(old.x, old.signal("a_end"), old.held_input, p, old.time)
-        found = decide(self.model.name, self._models.modes, self._mode, at, h or self.typical_step)
-        changed = [j for j, m in enumerate(found.mode) if m != self._mode[j]]
-        new = self._entered(found.mode)
-        new.set_parameters(found.p)
-        if (found.x != old.x).any():
-            new.set_x(at.t, found.x)
-        new.initialise()
-        self._mode = self._asked = found.mode
-        self._started = True
-        energy = found.energy if changed else np.zeros(len(found.energy))
-        lost = np.zeros(len(energy))
-        if changed:
-            lost[member(list(self.model.members), switches[changed[0]].owner)] = -energy.sum()
-        return Change(energy, lost, tuple(f"{switches[j].name} {'on' if found.mode[j] else 'off'}" for j in changed))
 
     def settle(self) -> None:
         """Takes the modes that were set as they are: what they ask for was decided elsewhere, with the state."""

@@ -16,6 +16,7 @@ from functools import cached_property
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from phfmu.declare.block import Block, block, skew
 from phfmu.declare.phdae import PHDAE
@@ -23,6 +24,10 @@ from phfmu.declare.variable import Variable, _sx
 from phfmu.events.switch_system import SwitchSystem, Undetermined
 
 Mode = tuple[int, ...]
+Array = NDArray[np.float64]
+
+#: of a typical multiplier: what counts as zero
+ZERO = 1e-6
 
 
 class Modes:
@@ -86,3 +91,27 @@ def _least(variables: Sequence[Variable], found: Undetermined) -> Block:
     matrix = ca.SX(len(inside), len(inside))
     matrix[int(np.searchsorted(inside, found.at)), :] = -ca.DM(found.row[inside]).T
     return block([taken[i] for i in inside], matrix)
+
+
+def most_held(modes: Modes, present: Mode, a: Array, j: int) -> float:
+    """How much switch j, which falls to zero in a mode, could hold if others on which it depends held less; 0: nothing."""
+    system, switches = modes.system, modes.switches
+    if not (found := system.undetermined(present)):
+        return 0.0
+    D = np.array([u.row for u in found]).T * system.nominal[:, None] ** 2
+    D /= np.abs(D / system.nominal[:, None]).max(axis=0)
+    mine = system.multipliers[j]
+    if np.abs(a[mine]) > ZERO * system.nominal[mine] or not np.abs(D[mine]).max() > ZERO * system.nominal[mine]:
+        return 0.0
+    at = np.array([system.multipliers[i] for i, s in enumerate(switches) if present[i] and s.unilateral])
+    size = system.nominal[at]
+    most = _most(D[mine] / system.nominal[mine], D[at] / size[:, None], np.maximum(a[at] / size, 0.0))
+    return most * float(system.nominal[mine]) if most > ZERO else 0.0
+
+
+def _most(d: Array, D: Array, mu: Array) -> float:
+    """max d t with mu + D t >= 0; 0 if it has no bound (a current that circulates and does nothing)."""
+    from scipy.optimize import linprog
+
+    found = linprog(-d, A_ub=-D, b_ub=mu, bounds=(None, None))
+    return -float(found.fun) if found.status == 0 else 0.0

@@ -2,19 +2,15 @@
 
     E x' = f(x, z, a),   0 = g(x, z, a),   z = E^-T grad H
 
-Modes enter as parameters.  With it a mode is tested (`comply.py`) and entered.  On entering, states jump along L = E^-1 df/da N
-only, N the null space of dg/da: what of the algebraic variables may be an impulse.  Then
+Modes enter as parameters.  Compiled code tests and enters modes with it (`engine/runtime/modes`).
 
-    c = N^T g = 0 after it,   S = L^T H'' L,   x+ = x- + L m,   m = -S^-1 c-,   lost = -1/2 m^T (c- + c+).
-
-Null spaces of small matrices that may be singular: their bases, and solutions of least norm.
+Null spaces of small matrices that may be singular.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from threading import local
 
 import casadi as ca
 import numpy as np
@@ -82,20 +78,6 @@ def pivots(N: Array) -> list[int]:
     return out
 
 
-def inverse(S: Array) -> Array:
-    """Inverse of a square matrix, scaled; of what depends on each other that which is least in norm."""
-    scale = np.sqrt(np.maximum(np.abs(np.diag(S)), np.finfo(float).tiny))
-    if len(S) == 1 and S[0, 0] != 0.0:
-        return 1.0 / S
-    return np.linalg.pinv(S / np.outer(scale, scale), rcond=RANK) / np.outer(scale, scale)
-
-
-#: null spaces that are kept
-KNOWN = 256
-#: times that the equation of an impulse is solved; the second and third correct rounding
-PASSES = 3
-
-
 @dataclass(frozen=True)
 class At:
     """An instant: states x, algebraic variables a, inputs u, parameters p (modes among them), time t."""
@@ -124,20 +106,6 @@ class Rates:
 
 
 @dataclass(frozen=True)
-class Entry:
-    """How a mode is entered: states after it, energy that each component gets (J), what is lost, and the impulses of the rows."""
-
-    x: Array
-    energy: Array
-    impulse: Array
-
-    @property
-    def lost(self) -> float:
-        """Energy that the jump dissipates (J)."""
-        return -float(self.energy.sum())
-
-
-@dataclass(frozen=True)
 class Equations:
     """They as expressions of x, a, u, p and time: `rows` as in Rates, then the diagonal of E; `gradients`, dH/dx by component."""
 
@@ -155,35 +123,6 @@ class Undetermined:
 
     at: int
     row: Array
-
-
-class _Buffered:
-    """A function of vectors and numbers with dense matrices as results, on memory of its own in each thread.
-
-    At a change of modes it is called some ten times, and a call by way of CasADi's matrices costs as much as a step.
-    """
-
-    def __init__(self, name: str, args: Sequence[ca.SX], results: Sequence[ca.SX]):
-        shapes = [r.shape for r in results]
-        ends = np.cumsum([0, *(rows * columns for rows, columns in shapes)])
-        self._places = [(slice(a, b), shape) for a, b, shape in zip(ends[:-1], ends[1:], shapes, strict=True)]
-        self._sizes, self._size = [a.numel() for a in args], int(ends[-1])
-        column = ca.vertcat(ca.SX(0, 1), *(ca.vec(ca.densify(r)) for r in results))
-        self._f, self._own = ca.Function(name, list(args), [column]), local()
-
-    def __call__(self, *args: Array | float) -> list[Array]:
-        own = self._own
-        if not hasattr(own, "call"):
-            own.args, own.result = [np.zeros(n) for n in self._sizes], np.zeros(self._size)
-            own.buffer, own.call = self._f.buffer()
-            for i, a in enumerate(own.args):
-                own.buffer.set_arg(i, memoryview(a))  # type: ignore
-            own.buffer.set_res(0, memoryview(own.result))  # type: ignore
-        for mine, given in zip(own.args, args, strict=True):
-            mine[:] = given
-        own.call()
-        found = own.result.copy()
-        return [found[place].reshape(shape, order="F") for place, shape in self._places]
 
 
 class SwitchSystem:
@@ -214,12 +153,10 @@ class SwitchSystem:
             )
         )
         mass = masses(terms)
-        self._masses = _Buffered("E", [p], [mass])
         out = [f, ca.jacobian(f, x), ca.jacobian(f, a), g, ca.jacobian(g, x), ca.jacobian(g, a)]
         out += [c, ca.jacobian(c, x), ca.jacobian(c, a), gap]
-        self._rates = _Buffered("rates", [x, a, u, p, time], out)
+        self._rates = ca.Function("rates", [x, a, u, p, time], [ca.densify(r) for r in out])
         gradients = ca.jacobian(ca.vertcat(*component_energies(terms)), x)
-        self._energy = _Buffered("energy", [x, p], [gradients])
         self.equations = Equations(x, a, u, p, [*out, mass], gradients)
         self.owners = [member(terms.members, s.owner) for s in model.switches]
         names = [n for v in symbolic.parameters for n in v.names()]
@@ -231,7 +168,6 @@ class SwitchSystem:
         self.power = max([s.nominal * s.multiplier.nominal[0] for s in model.switches], default=1.0)
         starts = (symbolic.states, symbolic.algebraics, symbolic.parameters)
         self._start = [np.array([s for v in vs for s in v.start], float) for vs in starts]
-        self._known = dict[bytes, Array]()
         self._undetermined: dict[tuple[int, ...], tuple[Undetermined, ...]] = {}
         self.size = np.array([n for v in symbolic.states for n in v.nominal])
         self._size = self.size, terms.nu
@@ -252,12 +188,8 @@ class SwitchSystem:
 
     def rates(self, at: At) -> Rates:
         """The rows at an instant."""
-        found = self._rates(at.x, at.a, at.u, at.p, at.t)
+        found = [np.array(v) for v in self._rates(at.x, at.a, at.u, at.p, at.t)]
         return Rates(*(o[:, 0] if i in (0, 3, 6, 9) else o for i, o in enumerate(found)))
-
-    def masses(self, p: Array) -> Array:
-        """The diagonal of E."""
-        return self._masses(p)[0].ravel()
 
     def undetermined(self, mode: Sequence[int]) -> tuple[Undetermined, ...]:
         """Directions of the algebraic variables that no row contains."""
@@ -281,37 +213,6 @@ class SwitchSystem:
         directions = np.where(np.abs(directions) > RANK, directions, 0.0)
         scaled = directions / self.nominal[:, None] * np.sqrt(self.power)
         return tuple(Undetermined(int(i), n[i] * n) for i, n in zip(pivots(directions), scaled.T, strict=True))
-
-    def _free(self, ga: Array) -> Array:
-        """Directions of the scaled algebraic variables that no row g determines, a column each; dg/da is mostly the mode's."""
-        key = ga.tobytes()
-        if key not in self._known:
-            if len(self._known) >= KNOWN:
-                self._known.clear()
-            self._known[key] = null_space(scaled_rows(ga * self.nominal), len(self.nominal))
-        return self._known[key]
-
-    def enter(self, at: At) -> Entry:
-        """The jump that the mode in at.p asks for; states stay where they satisfy it."""
-        x, impulse = at.x.copy(), np.zeros(0)
-        (before,) = self._energy(x, at.p)
-        found, mass = self.rates(at), self.masses(at.p)
-        N = self._free(found.ga) * self.nominal[:, None]
-        L = found.fa @ N / mass[:, None]
-        moving = np.flatnonzero(np.abs(L / self._size[0][:, None]).max(axis=0, initial=0) > RANK) if L.size else []
-        N, L = N[:, moving], L[:, moving]
-        if L.shape[1] == 0:
-            return Entry(x, np.zeros(len(before)), impulse)
-        impulse = np.zeros(len(self.nominal))
-        S_inverse = inverse(N.T @ found.gx @ L)
-        for _ in range(PASSES):
-            c = N.T @ self.rates(At(x, at.a, at.u, at.p, at.t)).g
-            m = -(S_inverse @ c)
-            x = x + L @ m
-            impulse += N @ m
-        (after,) = self._energy(x, at.p)
-        moved = x - at.x
-        return Entry(x, (before + after) @ moved / 2, impulse)
 
 
 def _fed(pair: object) -> ca.SX:

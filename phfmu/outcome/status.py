@@ -313,7 +313,7 @@ def remedy(failure: StepFailure) -> str:
     return ""
 
 
-#: why, in the order of `ph_event_reason` in runtime/events/events.h, and of modes in `switched.py`: what is
+#: why, in the order of `ph_event_reason` in runtime/events/events.h, and of modes in runtime/modes/modes.h: what is
 #: wrong, and the next move
 REASONS = (
     (

@@ -23,17 +23,6 @@ Array = NDArray[Any]
 EPS = float(np.finfo(float).eps)
 
 
-@dataclass
-class Arrival:
-    """How fast each guard moved where the present instant was reached: rates (n), |d guard / dt|.
-
-    A guard that was landed on is zero to rounding of the *time*, so what is left of it is that times its rate.  With ideal
-    switches each mode has a `Location` of its own; they share this.
-    """
-
-    rates: Array
-
-
 @dataclass(frozen=True)
 class Trial:
     """A step of length h from t.
@@ -61,9 +50,10 @@ class Trial:
 class Location:
     """Takes steps of an instance that end where guards are zero."""
 
-    def __init__(self, instance: Any, plan: EventPlan, guards: Guards, arrival: Arrival | None = None):
+    def __init__(self, instance: Any, plan: EventPlan, guards: Guards):
         self.instance, self.plan, self.guards = instance, plan, guards
-        self._arrival = Arrival(np.zeros(plan.n)) if arrival is None else arrival
+        #: |d guard / dt| (n) where the present instant was reached: a guard that was landed on is zero to rounding of the time
+        self._arrived = np.zeros(plan.n)
         self._fit = fit(instance.model.step.k)
 
     def advance(self, t: float, h: float) -> tuple[float, list[int]]:
@@ -94,7 +84,7 @@ class Location:
                 trial = self._trial(t, h, start, slopes, x)
                 break
             if shorter == LIMITS["LEAVING_HALVINGS"] or h / 2 <= LIMITS["GUARD_ARRIVED"] * EPS * abs(t):
-                self._arrival.rates = np.maximum(trial.rates, self._arrival.rates)
+                self._arrived = np.maximum(trial.rates, self._arrived)
                 return 0.0, leaving
             h /= 2
         refused: set[int] = set()
@@ -104,13 +94,13 @@ class Location:
             if length is None and i not in trial.from_zero and trial.start[i] * trial.end[i] > 0:
                 length = self._turned(before, trial, i, at)
             if length is not None:
-                self._arrival.rates = trial.rates
+                self._arrived = trial.rates
                 return length, self._together(trial, i, length)
             refused.add(i)  # the step map has no such zero: the guard only touches it
         if refused:
             instance.restore(before)
             instance.step_exactly(t, h)
-        self._arrival.rates = trial.rates
+        self._arrived = trial.rates
         return h, [
             i for i in trial.fits if self._is_zero(trial, i, trial.end[i], 1.0) and self._fits(i, trial.rate(i, 1.0))
         ]
@@ -292,7 +282,7 @@ class Location:
 
     def _rounded(self, t: float, i: int) -> float:
         """The largest rest of guard i if it was zero where this instant was reached."""
-        return float(LIMITS["GUARD_ARRIVED"] * EPS * abs(t) * self._arrival.rates[i])
+        return float(LIMITS["GUARD_ARRIVED"] * EPS * abs(t) * self._arrived[i])
 
     def _is_zero(self, trial: Trial, i: int, g: float, tau: float) -> bool:
         return abs(g) <= self._zero(i, trial.t + trial.h, abs(trial.rate(i, tau)))
@@ -316,14 +306,14 @@ class Location:
 
         The time itself is rounded there, so that a guard may be beyond zero by what it moves in that; a trial tells.
         """
-        self._arrival.rates = np.zeros(self.plan.n)
+        self._arrived = np.zeros(self.plan.n)
         found = self.already(t)
         if not found or h == 0.0:
             return found
         before = self.instance.get_state()
         try:
             x, start = self.instance.x, self._values()
-            self._arrival.rates = self._trial(t, self._tried(before, t, h), start, self._slopes(), x).rates
+            self._arrived = self._trial(t, self._tried(before, t, h), start, self._slopes(), x).rates
         except StepFailure:
             pass  # what it is beyond zero by is no rounding of a step that cannot be taken
         self.instance.restore(before)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable, Iterable, Iterator
 from functools import cached_property
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from phfmu.engine.model import Model
 from phfmu.engine.native.library import Column, Record, Signatures, placed, record_widths, typed, view
 from phfmu.engine.record import Grid
-from phfmu.outcome.status import EventRefused, Status
+from phfmu.outcome.status import EventRefused, Status, StepFailure
 from phfmu.outcome.steps import Happened, Landed
 
 Floats = NDArray[np.float64]
@@ -41,6 +42,125 @@ class EventRefusal(ctypes.Structure):
     ]
 
 
+class LentSteps(Protocol):
+    """Steps that others take for an instance: coupled members, whose states together are its own."""
+
+    @property
+    def halved(self) -> int:
+        """How many steps so far were taken in parts."""
+        ...
+
+    @property
+    def x(self) -> Floats:
+        """The states (nx) now."""
+        ...
+
+    def step(self, t: float, h: float) -> None:
+        """Takes one; StepFailure if it is refused."""
+        ...
+
+    def inside(self, x: Floats, tau: float) -> Floats:
+        """The states at the fraction tau of the last step, from those at its start."""
+        ...
+
+    def save(self) -> None:
+        """Keeps where the others are, in place of what was kept before."""
+        ...
+
+    def back(self) -> None:
+        """To where was kept."""
+        ...
+
+
+_STEP = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_double, ctypes.c_double)
+_HALVED = ctypes.CFUNCTYPE(ctypes.c_longlong, ctypes.c_void_p)
+_INSIDE = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_double, ctypes.c_void_p)
+_MOVE = ctypes.CFUNCTYPE(None, ctypes.c_void_p)
+
+
+class _LentSteps(ctypes.Structure):
+    """ph_lent_steps."""
+
+    _fields_ = [("world", ctypes.c_void_p), ("step", _STEP), ("halved", _HALVED), ("inside", _INSIDE), ("save", _MOVE),
+                ("load", _MOVE)]  # fmt: skip
+
+
+class Lent:
+    """Steps lent to the instance as compiled code calls them; what they raise is kept until its call has returned."""
+
+    def __init__(self, steps: LentSteps, instance: Any):
+        self._steps, self._instance, self._n = steps, instance, instance.model.step.nx
+        self._refused: StepFailure | None = None
+        self._broken: BaseException | None = None
+        self.table = _LentSteps(
+            None, _STEP(self._step), _HALVED(self._halved), _INSIDE(self._inside), _MOVE(self._save), _MOVE(self._back)
+        )
+
+    def require(self, status: int) -> None:
+        """Raises what was kept: a refused step if compiled code could not go on without it."""
+        failure, self._broken = self._broken or (self._refused if status else None), None
+        self._refused = None
+        if failure is not None:
+            raise failure
+
+    def _step(self, _: int, t: float, h: float) -> int:
+        self._refused = None
+        try:
+            self._steps.step(t, h)
+            self._instance.set_x(t + h, self._steps.x)
+        except StepFailure as failure:
+            self._refused = failure
+        except BaseException as failure:
+            self._broken = failure
+        return 0 if self._refused is None and self._broken is None else _REFUSED
+
+    def _halved(self, _: int) -> int:
+        return self._steps.halved
+
+    def _inside(self, _: int, tau: float, x: int) -> None:
+        values = view(x, self._n)
+        self._kept(lambda: values.__setitem__(slice(None), self._steps.inside(values.copy(), tau)))
+
+    def _save(self, _: int) -> None:
+        self._kept(self._steps.save)
+
+    def _back(self, _: int) -> None:
+        self._kept(self._steps.back)
+
+    def _kept(self, call: Callable[[], None]) -> None:
+        try:
+            call()
+        except BaseException as failure:
+            self._broken = failure
+
+
+#: what a refused step of others is to compiled code
+_REFUSED = tuple(Status).index(Status.NO_CONVERGENCE)
+
+
+def one_by_one(
+    room: Room, take: Callable[[], Iterable[Landed]], pause: bool
+) -> Iterator[tuple[float, float, Happened | None]]:
+    """(start, length, None) of each step, (time, 0, what happened) of each event: `take` calls compiled code once more.
+
+    Others follow each of these before the next.  `pause`: ends after the events of one time, if there are any.
+    """
+    happened = False
+    while not room.out.done:
+        room.out.steps_room, room.out.events_room = 0, 1
+        events = [part.happened for part in take() if part.happened is not None]
+        for event in events:
+            happened = True
+            yield event.t, 0.0, event
+        if events:
+            continue
+        if room.out.done or (pause and happened):
+            return
+        room.out.steps_room, room.out.events_room = 1, 0
+        for part in take():
+            yield from zip(part.t.tolist(), part.h.tolist(), [None] * len(part.t), strict=True)
+
+
 def _typed(lib: ctypes.CDLL) -> ctypes.CDLL:
     """The library of a model with state events, with the signatures of events.h."""
     pointer, real, integer = ctypes.c_void_p, ctypes.c_double, ctypes.c_int
@@ -48,6 +168,8 @@ def _typed(lib: ctypes.CDLL) -> ctypes.CDLL:
         "ph_landing_size": (ctypes.c_size_t, [pointer, pointer]),
         "ph_landing_init": (pointer, [pointer, pointer, pointer]),
         "ph_land_from": (None, [pointer, real, real, integer, integer, integer]),
+        "ph_land_to": (None, [pointer, real, real, integer]),
+        "ph_land_lent": (None, [pointer, ctypes.POINTER(_LentSteps)]),
         "ph_land": (integer, [pointer, ctypes.POINTER(Record), ctypes.POINTER(LandedRows)]),
         "ph_land_begin": (integer, [pointer, real, real, integer]),
         "ph_land_on": (integer, [pointer, ctypes.POINTER(LandedRows)]),
@@ -72,6 +194,28 @@ class NativeLanding:
         """The steps of a grid; `check` raises what a status means."""
         self._lib.ph_land_from(self._in, grid.t0, grid.h, grid.first, grid.n, int(changed))
         yield from self.on(grid.n, record, check, grid.pause)
+
+    def lend(self, lent: Lent) -> None:
+        """Its steps are those of others from now on."""
+        self._lent = lent
+        self._lib.ph_land_lent(self._in, lent.table)
+
+    def to(
+        self, t: float, end: float, changed: bool, pause: bool, check: Callable[[int], None]
+    ) -> Iterator[tuple[float, float, Happened | None]]:
+        """The lent steps and events in [t, end], after those before them; see `one_by_one`."""
+        self._lib.ph_land_to(self._in, t, end, int(changed))
+        room = self.room(1, ())
+
+        def take() -> Iterator[Landed]:
+            status = self._lib.ph_land(self._in, room.request, room.out)
+            self._lent.require(status)
+            if status:
+                self.refuse(status)
+                check(status)
+            return room.parts()
+
+        return one_by_one(room, take, pause)
 
     def stop_before(self, events: NDArray[np.int8]) -> None:
         """Events with 1 (n) happen elsewhere: it ends before them."""

@@ -16,10 +16,9 @@ from phfmu.engine.build.kernels import Kernels
 from phfmu.engine.build.mode_tables import ModeTables
 from phfmu.engine.native.code import Code, Kind, code_of
 from phfmu.engine.native.library import Record, Signatures, placed, record_widths, runtime, typed
-from phfmu.engine.native.native_landing import STEPS, LandedRows, Room
+from phfmu.engine.native.native_landing import STEPS, LandedRows, Lent, LentSteps, Room, one_by_one
 from phfmu.engine.record import Grid
-from phfmu.events.comply import most_held
-from phfmu.events.modes import Mode
+from phfmu.events.modes import Mode, most_held
 from phfmu.events.switch_tables import mode_rows, switch_tables
 from phfmu.outcome.status import EventRefused, Status
 from phfmu.outcome.steps import Happened, Landed
@@ -90,6 +89,7 @@ def _typed(lib: ctypes.CDLL) -> ctypes.CDLL:
         "ph_modes_from": (None, [pointer, real, real, integer, integer, integer]),
         "ph_modes_begin": (None, [pointer, real, real, integer]),
         "ph_modes_on": (integer, [pointer, ctypes.POINTER(LandedRows), pointer]),
+        "ph_modes_to": (None, [pointer, real, real, integer]),
         "ph_modes_land": (integer, [pointer, ctypes.POINTER(Record), ctypes.POINTER(LandedRows), pointer]),
         "ph_modes_refusal": (ctypes.POINTER(_Refusal), [pointer]),
         "ph_modes_failed": (pointer, [pointer]),
@@ -107,6 +107,8 @@ class NativeModes:
         self._known: dict[Mode, _Mode] = {}
         self._keep: list[Any] = []
         self._failure: BaseException | None = None
+        self._steps: LentSteps | None = None
+        self._lent: list[Lent] = []
         self._source = _Source(None, ROWS(self._rows), ROWS(self._whole), MOST(self._most))
         more = self._source, self._sides.ctypes.data
         self._memory, self._in = placed(self._made.lib, "ph_modes", self._made.tables.pointer, more=more)
@@ -124,6 +126,28 @@ class NativeModes:
             yield from self.parts(room)
             if status:
                 self.refuse(status)
+
+    def lend(self, steps: LentSteps) -> None:
+        """Its steps are those of others from now on, in each mode."""
+        self._steps = steps
+
+    def to(self, t: float, end: float, changed: bool, pause: bool) -> Iterator[tuple[float, float, Happened | None]]:
+        """The lent steps and events in [t, end], after those before them; see `one_by_one`."""
+        lib, room = self._made.lib, self.room(1, ())
+        self.push()
+        lib.ph_modes_to(self._in, t, end, int(changed))
+
+        def take() -> Iterator[Landed]:
+            self.push()
+            status = lib.ph_modes_land(self._in, room.request, room.out, room.changed.ctypes.data)
+            self.pull()
+            for lent in self._lent:
+                lent.require(status)
+            if status:
+                self.refuse(status)
+            return self.parts(room)
+
+        return one_by_one(room, take, pause)
 
     def step(self, t: float, h: float, parts: int) -> tuple[Happened, ...]:
         """A communication step in `parts` equal internal steps, told as one; the events in it."""
@@ -229,6 +253,9 @@ class NativeModes:
     def _entry(self, mode: Mode, on: int) -> _Mode:
         instance, fresh = self._switched.of(mode)
         landing, _ = instance.landing
+        if self._steps is not None:
+            self._lent.append(Lent(self._steps, instance))
+            landing.lend(self._lent[-1])
         landing.stop_before(np.ones(self._model.events.n, np.int8))
         state = np.frombuffer(fresh, np.uint8)
         self._keep.append(state)

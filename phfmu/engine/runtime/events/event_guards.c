@@ -1,5 +1,4 @@
-/* Guards at an instant: their values, which of them are armed, what counts as zero; the twin of the same
- * part of engine/landing/locate.py. */
+/* Guards at an instant: their values, which of them are armed, what counts as zero. */
 #include <float.h>
 #include <math.h>
 #include <string.h>

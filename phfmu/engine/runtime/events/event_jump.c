@@ -1,5 +1,4 @@
-/* What happens at a zero: the states jump, parameters are set; the twin of the same part of
- * engine/landing/landing.py. */
+/* What happens at a zero: the states jump, parameters are set. */
 #include <float.h>
 #include <math.h>
 #include <string.h>

@@ -8,10 +8,12 @@
 struct ph_landing {
     ph_instance *in;
     const ph_events *events;
-    double t0, grid;  /* of the grid of steps */
-    long long k, end; /* the grid step under way, and the first that is not to be taken */
+    const ph_lent_steps *lent; /* the caller's, or NULL: the instance takes its own steps */
+    double t0, grid;           /* of the grid of steps */
+    long long k, end;          /* the grid step under way, and the first that is not to be taken */
     int changed, under_way;
     double t, stop; /* where it is, and where the grid step ends */
+    double until;   /* the end of the only grid step, else NAN */
     double h;       /* of the trial */
     int happened;   /* events in this grid step */
     int passes;     /* of them at this instant */
@@ -74,6 +76,10 @@ int ph_already(ph_landing *l);
 /* event_trial.c: the same where a step of at most h begins after something was set: the time itself is
  * rounded there, so that a guard may be beyond zero by what it moves in that; a trial tells. */
 int ph_begun(ph_landing *l, double h);
+/* event_trial.c: a step of length h from l->t; here is where trials begin, and back to there. */
+int ph_trial_step(ph_landing *l, double h);
+void ph_trial_begin(ph_landing *l);
+void ph_trial_back(ph_landing *l);
 /* event_trial.c: takes a step of length l->h at most from l->start_x, and looks at the guards over it. */
 int ph_look(ph_landing *l);
 /* event_trial.c: takes a step of length l->h at most; *leaves: how many guards happen at once, and none is

@@ -1,5 +1,4 @@
-/* Where a step ends: the first zero of a guard, the step that ends on it; the twin of
- * engine/landing/locate.py. */
+/* Where a step ends: the first zero of a guard, the step that ends on it. */
 #include <float.h>
 #include <math.h>
 #include <string.h>
@@ -9,8 +8,8 @@
 /* The step of length h from l->t, taken, and guard i at its end. */
 static int value_after(ph_landing *l, int i, double h, double *g) {
     int status;
-    ph_load(l->in, l->before);
-    status = ph_step_exactly(l->in, l->t, h, 1);
+    ph_trial_back(l);
+    status = ph_trial_step(l, h);
     status = status ? status : ph_guard_values(l, l->now);
     *g = l->now[i];
     return status;
@@ -116,14 +115,12 @@ static void together(ph_landing *l, int i, double length) {
 }
 
 int ph_locate(ph_landing *l, double h, double *length) {
-    ph_instance *in = l->in;
     const ph_events *e = l->events;
     ph_crossing at;
     int status, i, any = 0;
     *length = 0.0;
     l->h = h;
-    ph_save(in, l->before);
-    memcpy(l->start_x, in->table, sizeof(double) * (size_t)in->model->step->nx);
+    ph_trial_begin(l);
     status = ph_guard_values(l, l->start);
     if (status == PH_OK)
         ph_guard_slopes(l, l->slopes);
@@ -148,8 +145,8 @@ int ph_locate(ph_landing *l, double h, double *length) {
         any = 1;
     }
     if (any) {
-        ph_load(in, l->before);
-        status = ph_step_exactly(in, l->t, l->h, 1);
+        ph_trial_back(l);
+        status = ph_trial_step(l, l->h);
         if (status)
             return status;
     }

@@ -1,22 +1,55 @@
-/* A step that is tried, and what guards do over it on its collocation polynomial; the twin of the same part
- * of engine/landing/locate.py. */
+/* A step that is tried, and what guards do over it on its collocation polynomial. */
 #include <float.h>
 #include <math.h>
 #include <string.h>
 
 #include "event_landing.h"
 
+int ph_trial_step(ph_landing *l, double h) {
+    return l->lent ? l->lent->step(l->lent->world, l->t, h) : ph_step_exactly(l->in, l->t, h, 1);
+}
+
+void ph_trial_begin(ph_landing *l) {
+    ph_save(l->in, l->before);
+    memcpy(l->start_x, l->in->table, sizeof(double) * (size_t)l->in->model->step->nx);
+    if (l->lent)
+        l->lent->save(l->lent->world);
+}
+
+void ph_trial_back(ph_landing *l) {
+    ph_load(l->in, l->before);
+    if (l->lent)
+        l->lent->load(l->lent->world);
+}
+
+static long long halved(const ph_landing *l) {
+    return l->lent ? l->lent->halved(l->lent->world) : l->in->count[PH_SUBSTEPS];
+}
+
 /* Takes a step of at most *h that needs no substeps, for its polynomial. */
 static int tried(ph_landing *l, double *h) {
-    ph_instance *in = l->in;
     for (;;) {
-        const long long halved = in->count[PH_SUBSTEPS];
-        int status = ph_step_exactly(in, l->t, *h, 1);
-        if (status || in->count[PH_SUBSTEPS] == halved)
+        const long long before = halved(l);
+        int status = ph_trial_step(l, *h);
+        if (status || halved(l) == before)
             return status;
-        ph_load(in, l->before);
+        ph_trial_back(l);
         *h /= 2;
     }
+}
+
+/* The states at point m of the step just taken, from those at its start in x. */
+static void between(const ph_landing *l, int m, double *x) {
+    const ph_events *e = l->events;
+    const int k = l->in->model->step->k;
+    if (l->lent) {
+        l->lent->inside(l->lent->world, e->fit_tau[m], x);
+        return;
+    }
+    for (int j = 0; j < e->nincrement; j++)
+        x[e->polynomial_state[j]] += e->fit_weights[m * k + e->polynomial_node[j]] * l->w[e->polynomial_w[j]];
+    for (int j = 0; j < e->nstart; j++)
+        x[e->polynomial_start_state[j]] += l->w[e->polynomial_start_w[j]];
 }
 
 /* Guards on the polynomial of the step just taken, at the points between its ends: rows 1.. of l->values. */
@@ -34,11 +67,7 @@ static int inside(ph_landing *l, double h) {
     for (int m = 1; m + 1 < e->npoint && status == PH_OK; m++) {
         double *x = l->x;
         memcpy(x, l->start_x, sizeof(double) * (size_t)p->nx);
-        for (int j = 0; j < e->nincrement; j++)
-            x[e->polynomial_state[j]] +=
-                e->fit_weights[m * p->k + e->polynomial_node[j]] * l->w[e->polynomial_w[j]];
-        for (int j = 0; j < e->nstart; j++)
-            x[e->polynomial_start_state[j]] += l->w[e->polynomial_start_w[j]];
+        between(l, m, x);
         x[p->nx] = l->t + e->fit_tau[m] * h;
         if (e->solves) {
             status = ph_set_x(in, x[p->nx], x);
@@ -218,7 +247,7 @@ int ph_try_step(ph_landing *l, int *leaves) {
         *leaves = arc ? 0 : leaving(l);
         if (!*leaves)
             return PH_OK;
-        ph_load(l->in, l->before);
+        ph_trial_back(l);
         arc = kept_inside(l, inside) && shorter == PH_LEAVING_ARC;
         if (shorter == PH_LEAVING_HALVINGS || l->h / 2 <= PH_GUARD_ARRIVED * DBL_EPSILON * fabs(l->t)) {
             for (int i = 0; i < l->events->n; i++)
@@ -230,19 +259,17 @@ int ph_try_step(ph_landing *l, int *leaves) {
 }
 
 int ph_begun(ph_landing *l, double h) {
-    ph_instance *in = l->in;
     int status;
     ph_clear(l->moved, l->events->n);
     ph_arrive(l);
     status = ph_already(l);
     if (status || !l->nfired || h == 0.0)
         return status;
-    ph_save(in, l->before);
-    memcpy(l->start_x, in->table, sizeof(double) * (size_t)in->model->step->nx);
+    ph_trial_begin(l);
     memcpy(l->start, l->now, sizeof(double) * (size_t)l->events->n);
     l->h = h;
     if (ph_look(l) == PH_OK) /* else what it is beyond zero by is no rounding of a step */
         ph_arrive(l);
-    ph_load(in, l->before);
+    ph_trial_back(l);
     return ph_already(l);
 }

@@ -1,5 +1,4 @@
-/* Grid steps with state events: what is located and what happens, written to the caller; the twin of
- * engine/landing/landing.py. */
+/* Grid steps with state events: what is located and what happens, written to the caller. */
 #include <float.h>
 #include <math.h>
 #include <string.h>
@@ -14,7 +13,7 @@ static int recorded(ph_landing *l, const ph_record *r, ph_landed *out) {
     if (status == PH_OK && length > 0.0 && (r->signals.data || r->energy.data))
         status = ph_refresh(in);
     if (status) {
-        ph_load(in, l->before);
+        ph_trial_back(l);
         return status;
     }
     if (length == 0.0)
@@ -35,7 +34,7 @@ static int recorded(ph_landing *l, const ph_record *r, ph_landed *out) {
 
 static int begin(ph_landing *l) {
     l->t = l->t0 + (double)l->k * l->grid;
-    l->stop = l->t0 + (double)(l->k + 1) * l->grid;
+    l->stop = isnan(l->until) ? l->t0 + (double)(l->k + 1) * l->grid : l->until;
     l->happened = l->passes = l->nfired = 0;
     l->under_way = 1;
     for (int i = 0; i < l->events->n; i++)
@@ -130,6 +129,7 @@ int ph_land_after(ph_landing *l, const ph_landing *from) {
     l->end = from->end;
     l->t = from->t;
     l->stop = from->stop;
+    l->until = from->until;
     l->happened = from->happened;
     l->passes = from->passes;
     if (l != from)
@@ -148,7 +148,22 @@ void ph_land_from(ph_landing *l, double t0, double h, int first_step, int n, int
     l->grid = h;
     l->k = first_step;
     l->end = (long long)first_step + n;
+    l->until = NAN;
     l->changed = changed;
     l->under_way = l->stopped = 0;
     ph_clear(l->rates, l->events->n); /* what was landed on before is nothing of the state */
+}
+
+void ph_land_to(ph_landing *l, double t, double end, int changed) {
+    l->t0 = t;
+    l->grid = end - t;
+    l->until = end;
+    l->k = 0;
+    l->end = 1;
+    l->changed = changed;
+    l->under_way = l->stopped = 0;
+}
+
+void ph_land_lent(ph_landing *l, const ph_lent_steps *steps) {
+    l->lent = steps;
 }

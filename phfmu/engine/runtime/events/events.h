@@ -1,6 +1,6 @@
 /* State events of an instance: steps that end on the zeros of guards, jumps of the states.
  *
- * The twin of engine/landing/landing.py, whose words are used here; docs/understand/events.md has the rules.
+ * docs/understand/events.md has the rules.
  * Nothing of an instance knows of it. */
 #ifndef PH_EVENTS_H
 #define PH_EVENTS_H
@@ -90,8 +90,24 @@ typedef struct ph_landing ph_landing;
 /* Bytes for the landing of an instance; memory: so many, aligned for double, owned by the caller. */
 PH_API size_t ph_landing_size(const ph_instance *in, const ph_events *events);
 PH_API ph_landing *ph_landing_init(void *memory, ph_instance *in, const ph_events *events);
+/* Steps that others take for the instance of a landing: coupled members, whose states together are its own.
+ * step: one of them, after which the instance has the states at its end; a ph_status. halved: how many so far
+ * were taken in parts. inside: x (nx), the states at the start of the last one, becomes those at its fraction
+ * tau. save, load: of where the others are. */
+typedef struct ph_lent_steps {
+    void *world;
+    int (*step)(void *world, double t, double h);
+    long long (*halved)(void *world);
+    void (*inside)(void *world, double tau, double *x);
+    void (*save)(void *world);
+    void (*load)(void *world);
+} ph_lent_steps;
+
+PH_API void ph_land_lent(ph_landing *l, const ph_lent_steps *steps);
 /* Grid steps first..first+n-1 from t0 + k h are to be taken; changed: values were set since the last step. */
 PH_API void ph_land_from(ph_landing *l, double t0, double h, int first, int n, int changed);
+/* One grid step, from t to `end`, after those before it: what was landed on still counts. */
+PH_API void ph_land_to(ph_landing *l, double t, double end, int changed);
 /* Takes them, until all are taken or there is no more room; again goes on. record: a row a step. After a
  * status other than PH_OK the instance is at the last step written. */
 PH_API int ph_land(ph_landing *l, const ph_record *record, ph_landed *out);

@@ -1,4 +1,4 @@
-/* Which mode follows at an instant, soon after it; the twin of events/comply.py. */
+/* Which mode follows at an instant, soon after it. */
 #include <math.h>
 #include <string.h>
 

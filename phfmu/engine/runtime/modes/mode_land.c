@@ -1,4 +1,5 @@
 /* Steps that go from mode to mode. */
+#include <math.h>
 #include <string.h>
 
 #include "work.h"
@@ -76,11 +77,17 @@ static int stopped(const ph_modes *m) {
 
 void ph_modes_from(ph_modes *m, double t0, double h, int first, int n, int changed) {
     m->t0 = t0;
+    m->until = NAN;
     m->grid = h;
     m->first = first;
     m->n = n;
     m->changed = changed;
     m->pending = 1;
+}
+
+void ph_modes_to(ph_modes *m, double t, double end, int changed) {
+    ph_modes_from(m, t, end - t, 0, 1, changed);
+    m->until = end;
 }
 
 void ph_modes_begin(ph_modes *m, double t, double h, int n) {
@@ -102,7 +109,12 @@ int ph_modes_land(ph_modes *m, const ph_record *record, ph_landed *out, signed c
         if (status)
             return status;
         m->pending = 0;
-        ph_land_from(m->present->landing, m->t0, m->grid, m->first, m->n, m->changed);
+        if (isnan(m->until))
+            ph_land_from(m->present->landing, m->t0, m->grid, m->first, m->n, m->changed);
+        else
+            ph_land_to(m->present->landing, m->t0, m->until, m->changed);
+        if (out->events && out->events == out->events_room)
+            return status; /* others may have to follow the mode before steps are tried in it */
     }
     while (status == PH_OK && !out->done) {
         const int steps = out->steps;

@@ -1,22 +1,22 @@
-/* Limits of changes of modes; those of the Python engine stand beside its twins of these files. */
+/* Limits of changes of modes. */
 #ifndef PH_MODE_LIMITS_H
 #define PH_MODE_LIMITS_H
 
-/* events/null_space.py: singular values below this part of the largest are none. */
+/* Singular values below this part of the largest are none. */
 #define PH_RANK 1e-10
-/* events/switch_system.py: times that the equation of an impulse is solved; the second and third correct
+/* Times that the equation of an impulse is solved; the second and third correct
  * rounding.
  */
 #define PH_PASSES 3
-/* events/comply.py: length of the short step, as a part of the step of the run; rounding of mu, and of c
+/* Length of the short step, as a part of the step of the run; rounding of mu, and of c
  * and rows, as parts of their typical magnitudes; modes that are tried. */
 #define PH_SHORT 1e-6
 #define PH_MU 1e-9
 #define PH_C 1e-11
 #define PH_MOST_TRIED 4096
-/* events/dependent.py: of a typical multiplier, what counts as zero. */
+/* Of a typical multiplier, what counts as zero. */
 #define PH_ZERO 1e-6
-/* engine/mode_change.py: a multiplier that a landed opening leaves, as a part of its typical magnitude. */
+/* A multiplier that a landed opening leaves, as a part of its typical magnitude. */
 #define PH_CUT_LANDED 1e-6
 
 #endif

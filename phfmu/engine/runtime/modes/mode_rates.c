@@ -1,5 +1,5 @@
-/* The equations of all modes at an instant, and the impulses that a mode asks for; the twin of
- * events/switch_system.py. */
+/* The equations of all modes at an instant, and the impulses that a mode asks for, as modes.h
+ * has them. */
 #include <math.h>
 #include <string.h>
 

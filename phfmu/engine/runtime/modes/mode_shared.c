@@ -1,5 +1,4 @@
-/* Switches that depend on each other along directions that share no multiplier; the twin of the simple case
- * of events/dependent.py. */
+/* Switches that depend on each other along directions that share no multiplier. */
 #include <math.h>
 
 #include "work.h"

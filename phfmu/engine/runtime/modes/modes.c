@@ -1,4 +1,4 @@
-/* Changes of modes at events; the twin of engine/switched.py. */
+/* Changes of modes at events. */
 #include <math.h>
 #include <string.h>
 

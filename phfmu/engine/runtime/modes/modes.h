@@ -1,8 +1,16 @@
 /* Modes of ideal switches: which one follows at an event, how it is entered, and steps that go from one to
  * the next without leaving compiled code.
  *
- * The twin of engine/switched.py, events/switch_system.py and events/comply.py, whose words are used here. A
- * mode is a model of its own with the states, parameters and inputs of all others. */
+ * A mode is a model of its own with the states, parameters and inputs of all others; its equations at an
+ * instant are those of events/switch_system.py. The mode that follows obeys 0 <= c, 0 <= mu, mu c = 0 for all
+ * unilateral switches soon after it: over a very short backward Euler step, in which rates of c count where c
+ * is zero, and impulses where it cannot stay; its complementarity problem is that of the limit (Camlibel,
+ * Heemels, van der Schaft, Schumacher, IEEE TCAS-I 50, 2003). Modes are tried by how many switches they
+ * change. Where multipliers are mu + D t, D the directions that no row determines, mu is least in norm; a
+ * switch whose share falls to zero opens only if no t keeps all mu + D t >= 0 with that one above zero.
+ *
+ * On entering, states jump along L = E^-1 df/da N only, N the null space of dg/da:
+ *     c = N^T g = 0 after it,  S = L^T H'' L,  x+ = x- + L m,  m = -S^-1 c-,  lost = -1/2 m^T (c- + c+). */
 #ifndef PH_MODES_H
 #define PH_MODES_H
 
@@ -84,6 +92,7 @@ PH_API void ph_modes_prepare(ph_modes *m, double h);
 /* As ph_land_from and ph_land, of the present mode and those that follow. changed: events*n, 1 = the switch
  * went off, 2 = on. Rows of signals: what all modes have, then the energies. */
 PH_API void ph_modes_from(ph_modes *m, double t0, double h, int first, int n, int changed);
+PH_API void ph_modes_to(ph_modes *m, double t, double end, int changed); /* as ph_land_to */
 PH_API int ph_modes_land(ph_modes *m, const ph_record *record, ph_landed *out, signed char *changed);
 /* As ph_land_begin and ph_land_on, but after a status other than PH_OK sides and instance are to be restored.
  */

@@ -14,6 +14,7 @@ struct ph_modes {
     const ph_mode *entered; /* that is being entered, else NULL */
     ph_mode_refusal refusal;
     double t0, grid, step; /* of the grid of steps; how long they are where it has no length */
+    double until;          /* the end of the only grid step, else NAN */
     int first, n, changed; /* of them */
     int pending;           /* 1: the grid is not begun yet */
     /* of a change */

@@ -3,8 +3,6 @@
 So do those with ideal switches, and those whose jumps act on others while their guards read what others give.  Which mode
 follows, what jumps, and what guards read depends on all members at once.  All of that is asked of the composed declaration, whose
 state is that of the members.  Steps are the members' own, with the interface iteration of the coupling.
-
-A composed declaration without ideal switches, as `Switching` asks one with them.
 """
 
 from __future__ import annotations
@@ -19,9 +17,9 @@ from numpy.typing import NDArray
 
 from phfmu.discretise.model import Model, build_model
 from phfmu.discretise.within import polynomial_of
-from phfmu.engine.landing.landing import Change, Landing
 from phfmu.engine.native.native import NativeInstance
-from phfmu.engine.switched import SwitchedInstance
+from phfmu.engine.native.native_landing import Lent
+from phfmu.engine.switched import SwitchedInstance, stepped
 from phfmu.network.couplings.coupling import AllSteps
 from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.network.interface.exchange import Exchange
@@ -34,34 +32,6 @@ from phfmu.schemes.collocated import Collocated
 
 if TYPE_CHECKING:
     from phfmu.discretise.start import Projection
-
-
-class OneMode:
-    """Its instance, which has one mode only; what is asked of instances is of that."""
-
-    mode: tuple[int, ...] = ()
-    unsettled = False
-
-    def __init__(self, model: Model):
-        self.model, self.present = model, NativeInstance(model)
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self.present, name)
-
-    def prepare(self, h: float) -> None:
-        """No mode has to be found."""
-
-    def change(self, p: NDArray[np.float64], h: float) -> Change:
-        """Takes the parameters p."""
-        self.present.set_parameters(p)
-        self.present.initialise()
-        energy, lost = np.zeros((2, self.model.step.ncomp))
-        return Change(energy, lost, ())
-
-
-def instance_of(model: Model) -> SwitchedInstance | OneMode:
-    """With or without ideal switches."""
-    return OneMode(model) if model.modes is None else SwitchedInstance(model, NativeInstance)
 
 
 Array = NDArray[Any]
@@ -127,38 +97,6 @@ def _present(member: EngineMember) -> Any:
     return member.instance.present if isinstance(member.instance, SwitchedInstance) else member.instance
 
 
-class _Stepped:
-    """The composed declaration in one mode, stepped by its members; all else is of `instance`, which is at their state."""
-
-    def __init__(self, instance: Any, whole: Switching):
-        self._whole, self.instance = whole, instance
-        events = replace(instance.model.events, polynomial=whole.everyone.polynomial)
-        self.model = replace(instance.model, events=events)
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self.instance, name)
-
-    @property
-    def unknowns(self) -> Array:
-        return self._whole.everyone.gathered("unknowns")
-
-    @property
-    def counts(self) -> dict[str, int]:
-        return {"substeps": self._whole.substeps}
-
-    def step_exactly(self, t: float, h: float) -> None:
-        self._whole.step(t, h)
-        self.instance.set_x(t + h, self._whole.everyone.gathered("x"))
-
-    def get_state(self) -> Any:
-        return self.instance.get_state(), self._whole.save()
-
-    def restore(self, state: Any) -> None:
-        own, members = state
-        self.instance.restore(own)
-        self._whole.restore(members)
-
-
 class Switching:
     """Steps of all members that end on the zeros of guards of the composed declaration; see `Together`, which it is in place of.
 
@@ -172,11 +110,16 @@ class Switching:
         self._steps, self._in_parts, self._saved = steps, 0, steps.save()
         k = self.everyone.members[0].model.step.k
         model = build_model(joined.network.compose(), Collocated(k))
-        self._switched = instance_of(model)
-        self._composed = Monolithic(model, self._switched)
+        #: the composed declaration, in compiled code: it is asked for guards, modes and jumps, and takes no step
+        self._whole: Any = stepped(model, NativeInstance)
+        self._composed = Monolithic(model, self._whole)
         self._words = Happenings(model)
-        self._stepped: dict[int, _Stepped] = {}
-        self._landing = Landing(self.present, self)
+        #: how many guards there are
+        self.guards = 0 if model.events is None else model.events.n
+        if model.modes is None:
+            self._whole.landing[0].lend(Lent(self, self._whole))
+        else:
+            self._whole.native.lend(self)
         names = [n for v in model.declaration.algebraics for n in v.names()]
         at = {n: i for i, n in enumerate(names)}
         #: among the algebraic variables of the composed declaration: those of junctions, then those of relations
@@ -189,34 +132,17 @@ class Switching:
             for m in self.everyone.members if isinstance(m.instance, RelationInstance)
         ]  # fmt: skip
 
-    # -- the structure of a landing ---------------------------------------------------------------------------------------
-
-    @property
-    def present(self) -> Any:
-        inner = self._switched.present
-        if id(inner) not in self._stepped:
-            self._stepped[id(inner)] = _Stepped(inner, self)
-        return self._stepped[id(inner)]
-
     @property
     def unsettled(self) -> bool:
-        return self._switched.unsettled
+        """Modes were set that are not taken yet."""
+        return self._whole.model.modes is not None and self._whole.unsettled
 
-    @property
-    def parameters(self) -> Array:
-        return self._switched.parameters
-
-    def row(self) -> Array:
-        return self._switched.row()
-
-    def change(self, p: Array, h: float) -> Change:
-        """Takes the mode that follows, and the members with it."""
-        found = self._switched.change(p, h)
-        self.everyone.take(self._switched.time, self._switched.x, self._switched.parameters)
+    def _follow(self) -> None:
+        """The members take the states, parameters and modes that the composed declaration has after an event."""
+        self.everyone.take(self._whole.time, self._whole.x, self._whole.parameters)
         self._enter()
         self.tell()
         self.everyone.joined.begin(self.xi)
-        return found
 
     @property
     def held_only(self) -> str:
@@ -236,24 +162,27 @@ class Switching:
         if self.unsettled:
             return None
         found = self._composed.project_start(t, kept)
-        self.everyone.take(t, self._switched.x, self._switched.parameters)
+        self.everyone.take(t, self._whole.x, self._whole.parameters)
         return found
 
-    # -- steps of the members ---------------------------------------------------------------------------------------------
+    # -- steps of the members, lent to the composed declaration -------------------------------------------------------------
 
     @property
-    def substeps(self) -> int:
+    def halved(self) -> int:
         return self._in_parts + self.everyone.substeps
+
+    @property
+    def x(self) -> Array:
+        return self.everyone.gathered("x")
 
     def step(self, t: float, h: float) -> None:
         self._in_parts += not self._steps.solve(t, h)
 
-    def save(self) -> Any:
-        self._saved = self._steps.save()
-        return self._saved
+    def inside(self, x: Array, tau: float) -> Array:
+        return self.everyone.polynomial(x, self.everyone.gathered("unknowns"), tau)
 
-    def restore(self, saved: Any) -> None:
-        self._steps.restore(saved)
+    def save(self) -> None:
+        self._saved = self._steps.save()
 
     def back(self) -> None:
         """To where the last step began."""
@@ -261,17 +190,13 @@ class Switching:
 
     def begin(self, h: float) -> Array:
         """Junction unknowns at the start of a run with steps of about h, in the modes that it starts with."""
-        self._switched.prepare(h)
+        if self._whole.model.modes is not None:
+            self._whole.prepare(h)
         self._gather()
         self._enter()
         self.tell()
         self.everyone.joined.begin(self.xi)
         return self.xi
-
-    @property
-    def guards(self) -> int:
-        """How many there are."""
-        return self._landing.guards
 
     def over(
         self, t: float, end: float, changed: bool, pause: bool = False
@@ -282,16 +207,25 @@ class Switching:
         """
         if changed:
             self._gather()
-        for found in self._landing.within(t, end, end - t, dict, changed, pause):
-            if isinstance(found, Happened):
-                yield found.t, 0.0, self._words.told(found)
-            else:
+        for start, taken, happened in self._landed(t, end, changed, pause):
+            if happened is None:
                 self.tell()
-                yield found[0], found[1], None
+                yield start, taken, None
+            else:
+                self._follow()
+                yield start, 0.0, self._words.told(happened)
+
+    def _landed(
+        self, t: float, end: float, changed: bool, pause: bool
+    ) -> Iterator[tuple[float, float, Happened | None]]:
+        if self._whole.model.modes is not None:
+            return self._whole.native.to(t, end, changed, pause)
+        landing, check = self._whole.landing
+        return landing.to(t, end, changed, pause, check)
 
     def _gather(self) -> None:
         """Takes what was set at the members."""
-        switched, p, x = self._switched, self.everyone.gathered("parameters"), self.everyone.gathered("x")
+        switched, p, x = self._whole, self.everyone.gathered("parameters"), self.everyone.gathered("x")
         switched.set_input(self.everyone.free)
         if (p != switched.parameters).any():
             switched.set_parameters(p)
@@ -300,20 +234,20 @@ class Switching:
 
     def _enter(self) -> None:
         """The rows of relations in the present modes."""
-        if self._switched.model.modes is None:
+        if self._whole.model.modes is None:
             return
         places = {int(c): i for i, c in enumerate(self._columns)}
-        modes = self._switched.model.modes.modes
+        modes = self._whole.model.modes.modes
         self._exchange.relations.undetermined = [
             replace(u, at=places[u.at], row=u.row[self._columns])
-            for u in modes.system.undetermined(self._switched.mode) if u.at in places
+            for u in modes.system.undetermined(self._whole.mode) if u.at in places
         ]  # fmt: skip
         self._exchange.join()
         self._joined_anew()
 
     def tell(self) -> None:
         """Tells all members their inputs, and relations their values, at the present time."""
-        t, now = self._switched.time, self._switched.signals()
+        t, now = self._whole.time, self._whole.signals()
         #: junction unknowns at that instant
         self.xi = now["a_end"][self._junction]
         self.everyone.joined.apply(self.xi)
