@@ -234,6 +234,7 @@ class Ledger:
             verdict=word(found, COMPONENT, name, account.quality),
             numerical=get("numerical", name),
             run_ratio=float(ratio(account.missed.value, account.allowed)),
+            gross=get("gross", name) if self._sums.ports else None,
         )
 
     def _junction(self, name: str, worst: float, found: list[Violation]) -> JunctionSummary:
@@ -242,7 +243,8 @@ class Ledger:
             Quality.LOOSE if name in sums.loose else Quality.ESTIMATED if name in sums.estimated else Quality.EXACT
         )
         verdict = word(found, JUNCTION, name, quality)
-        return JunctionSummary(name, get("junction", name) or 0.0, get("exchanged", name), worst, verdict)
+        made, gross = get("junction", name) or 0.0, get("created", name) or 0.0
+        return JunctionSummary(name, made, get("exchanged", name), worst, verdict, gross)
 
     def _network(self, found: list[Violation]) -> NetworkSummary:
         get = self._sums.by.get

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from phfmu.audit.events import EventRow
-from phfmu.audit.kinds import CellKind, Quality, RowKind
+from phfmu.audit.kinds import CellKind, LedgerVerdict, Quality, RowKind
 from phfmu.audit.sheet_names import UNITS
 from phfmu.audit.summary import LedgerSummary
 
@@ -56,6 +56,8 @@ class Scale:
 
 
 JOULE = Scale()
+#: verdicts on junctions that may make energy: what members turned over is told beside what they kept
+MAKING = (LedgerVerdict.LOOSE, LedgerVerdict.ESTIMATED, LedgerVerdict.VIOLATED)
 #: of what is stored: less than this flows by rounding alone
 ROUNDING = 1e-12
 
@@ -108,6 +110,8 @@ def _components(summary: LedgerSummary) -> Sheet:
     for name in ("dissipated", "numerical", "supplied", "jumps"):
         if any(getattr(c, name) for c in summary.components):
             columns.append(Column(name, lambda c, name=name: getattr(c, name)))
+    if any(j.verdict in MAKING for j in summary.junctions) and any(c.gross for c in summary.components):
+        columns.append(Column("gross", lambda c: c.gross))
     columns += [
         Column(ALLOWANCE, lambda c: c.worst_ratio, CellKind.RATIO),
         Column("verdict", lambda c: c.verdict, CellKind.WORD),
@@ -140,6 +144,7 @@ def _junctions(summary: LedgerSummary) -> Sheet:
     columns = [
         Column("junction", lambda j: j.junction, CellKind.NAME),
         Column("residual", lambda j: j.residual),
+        Column("gross", lambda j: j.gross),
         Column("worst step", lambda j: j.worst_residual, adds=False),
         Column("exchanged", lambda j: j.exchanged),
         Column("verdict", lambda j: j.verdict, CellKind.WORD),

@@ -13,7 +13,8 @@ class ComponentSummary:
     """A component over the run.
 
     `worst_ratio` is the largest |residual| / allowed of a step, `run_ratio` that of the sum over the run; `gap` is
-    H_end - H_start - stored - jumps between its steps: energy that changed and was not booked.
+    H_end - H_start - stored - jumps between its steps: energy that changed and was not booked. `gross`: sum of |energy| of its
+    port pairs over the steps, None without ports.
     verdict: closed | VIOLATED | estimated | none.
     """
 
@@ -33,6 +34,7 @@ class ComponentSummary:
     verdict: LedgerVerdict
     numerical: float | None = None
     run_ratio: float = 0.0
+    gross: float | None = None
 
 
 @dataclass
@@ -50,6 +52,7 @@ class PortSummary:
 class JunctionSummary:
     """Energy that a junction created (its members got more than they gave), and what passed through it.
 
+    `residual` is the net sum over the steps, in which signs cancel; `gross` the sum of the magnitudes of the steps.
     verdict: closed | VIOLATED | estimated | loose.
     """
 
@@ -58,6 +61,7 @@ class JunctionSummary:
     exchanged: float | None
     worst_residual: float
     verdict: LedgerVerdict
+    gross: float = 0.0
 
 
 @dataclass

@@ -101,7 +101,7 @@ _NEEDED: dict[RowKind, tuple[str, ...]] = {
     RowKind.JUNCTION: ("junction", "quality", "residual", "exchanged"),
     RowKind.PART: FIELDS[RowKind.PART],
     RowKind.TERM: FIELDS[RowKind.TERM],
-    RowKind.NETWORK: tuple(name for name in FIELDS[RowKind.NETWORK] if name not in ("iterations", "accepted_by")),
+    RowKind.NETWORK: tuple(name for name in FIELDS[RowKind.NETWORK] if name != "iterations"),
     RowKind.EVENT: ("energy_jump", "lost", "kind", "component", "message"),
 }
 _COMMON = ("row", "step", "t0", "h")

@@ -92,6 +92,7 @@ static void take_components(const ph_accounts *b, size i, ph_row *r) {
         add(b->of_dissipated, k, dissipated);
         add(b->of_supplied, k, supplied);
         add(b->of_stored, k, stored);
+        add(b->gross, k, r->played[k]);
         more(&r->dH, stored);
         more(&r->dissipated, dissipated);
         if (b->numerical) {
@@ -177,6 +178,7 @@ static int take_junctions(const ph_accounts *b, const ph_row *r, across *made) {
         r->created[j] = created;
         add(b->of_junction, j, created);
         add(b->exchanged, j, exchanged);
+        add(b->created, j, fabs(created));
         b->worst_junction[j] = ph_most(b->worst_junction[j], fabs(created));
         more(made, created);
     }

@@ -18,10 +18,11 @@ typedef struct ph_sums {
  * the caller. In, by rows: H0 .. varying; numerical, moved and works may be NULL.  In, of the booking: judged
  * [c] or 0; owner [q]: component, or -1; port [q]: of a pair; junction [q]: or -1; outside [q]: sign of what
  * enters the balance, or 0; part_junction [parts]; projection [parts]: it is a loss.  before [c]: H booked at
- * the start. In and out, up to the last row: the sums; reach, largest, stirred [c], passed [junctions]: most
- * so far; turnover [c]: sum of moved; worst [c], with the row and residual of it, the row -1 for none of
- * these; worst_junction [junctions], worst_part [parts].  scratch [7c + 7 junctions].  violated: the largest
- * share of what is allowed of what rows that are not ordinary miss beside residuals. */
+ * the start. In and out, up to the last row: the sums (gross: of |pairs| of a component, created: of |energy|
+ * that a junction made in a row); reach, largest, stirred [c], passed [junctions]: most so far; turnover [c]:
+ * sum of moved; worst [c], with the row and residual of it, the row -1 for none of these; worst_junction
+ * [junctions], worst_part [parts].  scratch [7c + 7 junctions].  violated: the largest share of what is
+ * allowed of what rows that are not ordinary miss beside residuals. */
 typedef struct ph_accounts {
     ptrdiff_t n, c, q, junctions, parts, loose;
     double rtol;
@@ -31,8 +32,8 @@ typedef struct ph_accounts {
     const double *outside;
     const ptrdiff_t *part_junction, *projection;
     double *before;
-    ph_sums of_dissipated, of_supplied, of_numerical, of_stored, gap, missed, squares; /* [c] */
-    ph_sums of_port, of_junction, exchanged, of_part;                     /* [ports], [junctions], [parts] */
+    ph_sums of_dissipated, of_supplied, of_numerical, of_stored, gap, missed, squares, gross; /* [c] */
+    ph_sums of_port, of_junction, exchanged, created, of_part; /* [ports], [junctions] three times, [parts] */
     ph_sums dissipation, external, residual, unexplained, dH, loss, left; /* [1] of the network */
     double *reach, *largest, *stirred, *turnover, *passed;
     double *worst, *worst_residual;

@@ -19,8 +19,8 @@ from phfmu.outcome.steps import Steps
 _SIZE, _REAL, _AT = ctypes.c_ssize_t, ctypes.c_double, ctypes.c_void_p
 #: sums of the ledger in compiled code, in its order
 _SUMS = (
-    *("dissipated", "supplied", "numerical", "stored", "gap", "missed", "squares"),
-    *("port", "junction", "exchanged", "part"),
+    *("dissipated", "supplied", "numerical", "stored", "gap", "missed", "squares", "gross"),
+    *("port", "junction", "exchanged", "created", "part"),
     *("dissipation", "external", "residual", "unexplained", "dH", "loss", "left"),
 )
 
@@ -54,8 +54,13 @@ class Ordinary:
         self._known: dict[bool, tuple[Sequence[Account], list[CompensatedSum]]] = {}
         sums.meet(booking)
         c, m = self._c, len(self._junctions)
-        widths = dict.fromkeys(_SUMS[:7], c) | {"port": len(booking.scalars), "junction": m, "exchanged": m}
-        widths |= {"part": len(self._parts)} | dict.fromkeys(_SUMS[11:], 1)
+        widths = dict.fromkeys(_SUMS[:8], c) | {
+            "port": len(booking.scalars),
+            "junction": m,
+            "exchanged": m,
+            "created": m,
+        }
+        widths |= {"part": len(self._parts)} | dict.fromkeys(_SUMS[13:], 1)
         self._many = sum(widths.values())
         most = dict.fromkeys(("before", "reach", "largest", "stirred", "turnover", "worst", "worst_residual"), c)
         most |= {"passed": m, "worst_junction": m, "worst_part": len(self._parts), "scratch": 7 * (c + m)}
@@ -141,8 +146,9 @@ class Ordinary:
             *(a.gap for a in accounts),
             *(a.missed for a in accounts),
             *(a.squares for a in accounts),
+            *(by["gross", name] for name in names),
             *(by[("port", *key)] for key in b.scalars),
-            *(by[key, name] for key in ("junction", "exchanged") for name in junctions),
+            *(by[key, name] for key in ("junction", "exchanged", "created") for name in junctions),
             *(by["part", key.junction, key.part] for key in self._parts),
             *(by[(key,)] if there else CompensatedSum() for key, there in network.items()),
             self._judge.squares,

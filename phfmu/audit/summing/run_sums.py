@@ -7,7 +7,7 @@ import numpy as np
 from phfmu.audit.booked_steps import BookedSteps
 from phfmu.audit.booking import Booking, PartKey, TermKey
 from phfmu.audit.kinds import Quality
-from phfmu.audit.summing.sums import Floats, Sums, larger, largest
+from phfmu.audit.summing.sums import Floats, Sums, larger, largest, plain
 
 #: columns of the network that have running sums beside them
 CUMULATIVE = ("dissipated", "external", "junction_residual", "unexplained")
@@ -57,6 +57,7 @@ class RunSums:
     def _add_components(self, block: BookedSteps) -> Floats:
         names, s = block.booking.components, block.steps
         tables = {"stored": s.stored, "dissipated": s.dissipated, "supplied": s.supplied, "numerical": s.numerical}
+        tables["gross"] = plain(np.abs(s.pairs), block.booking.owned) if block.booking.ports else None
         told = {key: table for key, table in tables.items() if table is not None}
         sums = self.by.extend([(key, name) for key in told for name in names], np.concatenate([*told.values()], axis=1))
         return sums[:, : len(names)]
@@ -70,8 +71,9 @@ class RunSums:
                 own = pairs[:, list(some.values())].transpose(0, 2, 1).reshape(-1, len(some))  # steps, pairs, ports
             self.by.add([("port", *key) for key in some], own)
         names = list(booking.junctions)
-        both = np.concatenate([block.junction_residual, block.junction_exchanged], axis=1)
-        self.by.add([(key, name) for key in ("junction", "exchanged") for name in names], both)
+        made = block.junction_residual
+        all_three = np.concatenate([made, block.junction_exchanged, np.abs(made)], axis=1)
+        self.by.add([(key, name) for key in ("junction", "exchanged", "created") for name in names], all_three)
         for j, name in enumerate(names):
             self.junctions[name] = larger(self.junctions.get(name, 0.0), largest(block.junction_residual[:, j]))
 

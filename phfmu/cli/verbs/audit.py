@@ -30,6 +30,9 @@ def add_parser(verbs: Any) -> None:
         "--percent", action="store_true", help="energies as shares of what flowed: came in, or was stored before"
     )
     parser.add_argument("--export", choices=("csv",), help="the table of --by as CSV, with all digits, instead of text")
+    parser.add_argument(
+        "--why", action="store_true", help="sentences instead: who made energy, by what, when, and what to do about it"
+    )
     parser.add_argument("--alarm", type=float, default=0.1, metavar="PART",
                         help="warn of steps that miss more than this part of what is allowed (default 0.1)")  # fmt: skip
     parser.add_argument("--alarm-junction", type=float, default=1e-6, metavar="PART",
@@ -71,7 +74,14 @@ def call(args: argparse.Namespace) -> int:
             f"--percent writes energies as parts of the whole, --unit {args.unit} in {args.unit}: leave one of them out"
         )
     window, levels, path = _window(args.window), Alarms(args.alarm, args.alarm_junction), _existing(args.file[0])
+    if args.why:
+        _require_alone(args)
     summary = summarise(path, args.rtol, window)
+    if args.why:
+        from phfmu.audit.blame import blame, why
+
+        print("\n".join(f"{i}. {sentence}" for i, sentence in enumerate(why(blame(path)), 1)))
+        return FINE if summary.closed else LEDGER
     unit = fitting(summary) if args.unit == "auto" else args.unit or "J"
     scale = shares(summary) if args.percent else Scale(unit)
     events = list(event_rows(str(path), window)) if args.by == "event" else []
@@ -81,6 +91,14 @@ def call(args: argparse.Namespace) -> int:
         by, most = ([args.by], None) if args.by else ([], None if args.all else ROWS)
         print(audit_table(summary, by=by, scale=scale, events=events, levels=levels, most=most), end="")
     return FINE if summary.closed else LEDGER
+
+
+def _require_alone(args: argparse.Namespace) -> None:
+    """ValueError for options of tables beside --why."""
+    given = [f"--{name}" for name in ("window", "by", "unit", "export") if getattr(args, name)]
+    given += ["--percent"] if args.percent else []
+    if given:
+        raise ValueError(f"--why writes sentences about the whole run, no table: leave out {' and '.join(given)}")
 
 
 def _window(text: str | None) -> Window | None:

@@ -1,0 +1,257 @@
+"""Blame: which junction and which member of a co-simulation made energy, when, by what, and what to do about it.
+
+Of a junction the net energy hides what cancels from step to step, so the gross one counts: the sum of |energy made in a step|.
+Each step's energy belongs to a cause: inputs that were extrapolated over the step (explicit couplings), an iteration that was
+given up or left something, or the prediction of a member that is stepped last.
+
+Of a member W(t) is the energy through its ports since the start, positive into it.  One that keeps no books (a unit of another
+tool) has given out -min W that it was not given before: a store of at least that was in it at the start, or it makes energy.  It
+makes energy where W falls to a new low in each of the last parts of the run, which no store that is finite explains for long.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from phfmu.audit.kinds import Quality, RowKind
+from phfmu.audit.log.reading import Batches, Interned, LogRows
+from phfmu.words import first_few
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+EXTRAPOLATED = "inputs extrapolated over a step"
+UNCONVERGED = "iterations that were given up"
+ITERATED = "what the iteration left"
+PREDICTED = "predictions of members stepped last"
+#: words of the log: the test of a step that was kept though it did not converge; the part that estimates missed
+_KEPT, _MISSED = "unconverged", "estimated ports"
+
+#: parts of the run at whose ends W is looked at; of them those that have to be new lows
+MARKS, LOWS = 8, 4
+#: of what was exchanged: less is not worth a sentence
+WORTH = 1e-9
+
+_REMEDIES = {
+    EXTRAPOLATED: "a smaller step (what is made falls with it), --coupling newton where the members take steps back, or "
+    "--coupling gauss-seidel with another --sequence",
+    UNCONVERGED: "--unconverged halve, or a smaller step",
+    ITERATED: "it is what the tolerance of the iteration leaves; a smaller step leaves less",
+    PREDICTED: "a smaller step, or a member that can save its state (`phfmu vet` says whether it does)",
+}
+
+
+@dataclass
+class JunctionBlame:
+    """A junction over a run, energies in J: `net`, `gross`, `exchanged`; `causes`: cause -> gross; `worst`: step that made most.
+
+    `members`: those whose ports meet there;  `worst_t`: start of that step (s).
+    """
+
+    junction: str
+    members: list[str] = field(default_factory=list)
+    net: float = 0.0
+    gross: float = 0.0
+    exchanged: float = 0.0
+    causes: dict[str, float] = field(default_factory=dict)
+    worst: float = 0.0
+    worst_t: float = 0.0
+
+
+@dataclass
+class MemberBlame:
+    """A member over a run, energies in J: `net` W at the end, `gross`, the least W with its time (s), W at the marks.
+
+    `quality`: of its ports, see `Quality`.
+    """
+
+    component: str
+    quality: str
+    net: float = 0.0
+    gross: float = 0.0
+    least: float = 0.0
+    least_t: float = 0.0
+    marks: list[float] = field(default_factory=list)
+
+    @property
+    def makes(self) -> bool:
+        """Whether it gives out without an end: W is lower at each of the last marks, and most of the fall goes on."""
+        lows = np.array(self.marks[-LOWS - 1 :])
+        if len(lows) <= LOWS or self.least >= -1e-3 * self.gross:
+            return False
+        falls = -np.diff(lows)
+        return bool((falls > 0.0).all() and falls[-1] > 0.25 * falls[0])
+
+
+@dataclass
+class Blame:
+    """Junctions and members of a run, those that made most first."""
+
+    junctions: list[JunctionBlame]
+    members: list[MemberBlame]
+
+
+def blame(source: pa.Table | str | os.PathLike[str]) -> Blame:
+    """Net and gross energies of the junctions and members of an audit log; two passes, memory does not grow with it.
+
+    Errors: ValueError for what is not an audit log.
+    """
+    found = _Gathering(*_kept(source))
+    batches = Batches(source)
+    for batch in batches:
+        found.take(batch, batches.interned)
+    return found.blame()
+
+
+def _kept(source: pa.Table | str | os.PathLike[str]) -> tuple[dict[int, str], tuple[float, float]]:
+    """The tests by which a coupling took its steps, of those that it gave up or iterated; start and end of the run (s)."""
+    batches, kept, start, end = Batches(source), dict[int, str](), np.inf, -np.inf
+    for batch in batches:
+        rows = batch.get(RowKind.NETWORK)
+        if rows is None:
+            continue
+        t0 = rows.values("t0")
+        start, end = min(start, t0.min()), max(end, (t0 + rows.values("h")).max())
+        codes = rows.names["accepted_by"]
+        kept |= {int(rows.step[i]): batches.interned.name(codes[i]) or "" for i in np.flatnonzero(codes >= 0)}
+    return kept, (float(start), float(end))
+
+
+class _Gathering:
+    """The sums of one pass; `kept`: by which test iterated steps were taken;  `span`: of the run (s)."""
+
+    def __init__(self, kept: dict[int, str], span: tuple[float, float]):
+        self._kept, (start, end) = kept, span
+        self._marks = start + (end - start) * np.arange(1, MARKS + 1) / MARKS
+        self.junctions: dict[str, JunctionBlame] = {}
+        self.members: dict[str, MemberBlame] = {}
+        self._divided: set[str] = set()
+
+    def take(self, batch: dict[RowKind, LogRows], interned: Interned) -> None:
+        """The rows of a batch."""
+        if RowKind.PORT in batch:
+            self._ports(batch[RowKind.PORT], interned)
+        if RowKind.PART in batch:
+            self._parts(batch[RowKind.PART], interned)
+        if RowKind.JUNCTION in batch:
+            self._junctions(batch[RowKind.JUNCTION], interned)
+
+    def _ports(self, rows: LogRows, interned: Interned) -> None:
+        ends, energies = rows.values("t0") + rows.values("h"), rows.values("supplied")
+        met = {*zip(rows.names["component"].tolist(), rows.names["junction"].tolist(), strict=True)}
+        for component, junction in sorted(met):
+            if junction >= 0:
+                known = self._junction(interned.name(junction) or "").members
+                known += [n for n in [interned.name(component) or ""] if n not in known]
+        for code in np.unique(rows.names["component"]):
+            own = rows.names["component"] == code
+            name = interned.name(code) or ""
+            quality = interned.name(rows.names["quality"][own][0]) or Quality.EXACT
+            member = self.members.setdefault(name, MemberBlame(name, quality))
+            self._run(member, ends[own], energies[own])
+
+    def _run(self, member: MemberBlame, ends: np.ndarray, energies: np.ndarray) -> None:
+        """W goes on through the steps of a batch; its pairs of one step are taken together."""
+        last = np.flatnonzero(np.append(np.diff(ends) > 0.0, True))
+        W, times = member.net + np.cumsum(energies)[last], ends[last]
+        member.gross += float(np.abs(energies).sum())
+        i = int(np.argmin(W))
+        if W[i] < member.least:
+            member.least, member.least_t = float(W[i]), float(times[i])
+        while len(member.marks) < MARKS and times[-1] >= self._marks[len(member.marks)] * (1.0 - 1e-12):
+            member.marks.append(float(W[np.searchsorted(times, self._marks[len(member.marks)] * (1.0 - 1e-12))]))
+        member.net = float(W[-1])
+
+    def _parts(self, rows: LogRows, interned: Interned) -> None:
+        made = np.abs(rows.values("residual"))
+        for code in np.unique(rows.names["part"]):
+            predicted = interned.name(code) == _MISSED
+            for j in np.unique(rows.names["junction"]):
+                own = (rows.names["part"] == code) & (rows.names["junction"] == j)
+                name = interned.name(j) or ""
+                self._divided.add(name)
+                causes = self._junction(name).causes
+                if predicted:
+                    causes[PREDICTED] = causes.get(PREDICTED, 0.0) + float(made[own].sum())
+                else:
+                    self._by_test(causes, rows.step[own], made[own])
+
+    def _by_test(self, causes: dict[str, float], steps: np.ndarray, made: np.ndarray) -> None:
+        tests = [self._kept.get(s) for s in steps.tolist()]
+        for cause, chosen in (
+            (EXTRAPOLATED, [t is None for t in tests]),
+            (UNCONVERGED, [t == _KEPT for t in tests]),
+            (ITERATED, [t is not None and t != _KEPT for t in tests]),
+        ):
+            if any(chosen):
+                causes[cause] = causes.get(cause, 0.0) + float(made[np.array(chosen)].sum())
+
+    def _junctions(self, rows: LogRows, interned: Interned) -> None:
+        for code in np.unique(rows.names["junction"]):
+            own = rows.names["junction"] == code
+            name, made = interned.name(code) or "", rows.values("residual")[own]
+            junction = self._junction(name)
+            junction.net += float(made.sum())
+            junction.gross += float(np.abs(made).sum())
+            junction.exchanged += float(rows.values("exchanged")[own].sum())
+            i = int(np.argmax(np.abs(made)))
+            if abs(made[i]) > abs(junction.worst):
+                junction.worst, junction.worst_t = float(made[i]), float(rows.values("t0")[own][i])
+            if name not in self._divided:
+                self._by_test(junction.causes, rows.step[own], np.abs(made))
+
+    def _junction(self, name: str) -> JunctionBlame:
+        return self.junctions.setdefault(name, JunctionBlame(name))
+
+    def blame(self) -> Blame:
+        """Those that made most come first."""
+        junctions = sorted(self.junctions.values(), key=lambda j: -j.gross)
+        return Blame(junctions, sorted(self.members.values(), key=lambda m: m.least))
+
+
+def why(found: Blame) -> list[str]:
+    """Sentences, the largest energies first, each with its remedy."""
+    told = sorted([*_of_junctions(found), *_of_members(found)], reverse=True)
+    if not told:
+        nothing = f"No junction made more than {WORTH:g} of what it exchanged"
+        return [f"{nothing}, and no member gave out what it had not been given."]
+    return [sentence for _, sentence in told]
+
+
+def _of_junctions(found: Blame) -> Iterator[tuple[float, str]]:
+    for j in found.junctions:
+        if j.gross <= WORTH * j.exchanged:
+            continue
+        causes = [c for c in sorted(j.causes, key=lambda c: -j.causes[c]) if j.causes[c] > 0.01 * j.gross]
+        shares = ", ".join(f"{j.causes[c] / sum(j.causes.values()):.0%} by {c}" for c in causes)
+        share = f" ({100.0 * j.gross / j.exchanged:.2g} %)" if j.exchanged else ""
+        yield (
+            j.gross,
+            f"Junction {j.junction} of {first_few(j.members)} made {j.gross:.3g} J gross, {j.net:.3g} J net, of "
+            f"{j.exchanged:.3g} J exchanged{share}: {shares}; most at t = {j.worst_t:.6g} s ({j.worst:.3g} J in a step). "
+            f"Next: {_REMEDIES[causes[0]]}.",
+        )
+
+
+def _of_members(found: Blame) -> Iterator[tuple[float, str]]:
+    for m in found.members:
+        if m.quality == Quality.EXACT or m.least >= -WORTH * m.gross or not m.gross:
+            continue
+        given = f"Member {m.component} has given out {-m.least:.3g} J more than it was given by t = {m.least_t:.6g} s"
+        if m.makes:
+            yield (
+                -m.least,
+                f"{given}, and goes on to the end of the run: it makes energy, or has a source. "
+                f"Next: look at the sign and the units of its ports, and try `phfmu vet` on it (claim passivity).",
+            )
+        else:
+            # what a store explains says nothing against it: it comes after all that was made
+            yield (
+                0.0,
+                f"{given}: it had a store of at least that at the start, since it keeps no books.",
+            )

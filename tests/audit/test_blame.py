@@ -1,0 +1,116 @@
+"""Blame: net and gross energies of junctions and members, their causes, and sentences with a remedy."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from phfmu.audit import AuditWriter, Booking, Ledger, PortKey, summarise
+from phfmu.audit.blame import EXTRAPOLATED, UNCONVERGED, blame, why
+from phfmu.audit.kinds import Quality
+from phfmu.cli import main
+from phfmu.outcome.steps import Steps
+from tests.fmu.public_units import public
+from tests.network.test_quarter_truck import CHASSIS, FINE, SCENE, WHEEL
+
+N, H = 400, 0.01
+
+
+def logged(path: Path, into: np.ndarray, tests: list[str] | None = None) -> Path:
+    """A log of two members without books that meet at a junction; `into`: energies into them (N x 2) [J]."""
+    ports = tuple(PortKey(m, "p", None, "bond", Quality.ESTIMATED) for m in ("motor", "spring"))
+    booking = Booking(("motor", "spring"), ports, loose=True)
+    supplied = into.copy()
+    steps = Steps(
+        H=np.cumsum(supplied, axis=0), stored=supplied, dissipated=np.zeros((N, 2)), supplied=supplied, pairs=into,
+        accepted_by=None if tests is None else np.array(tests, object),
+    )  # fmt: skip
+    with AuditWriter(path) as sink:
+        Ledger(sink).add(booking, np.arange(N), H * np.arange(N), np.full(N, H), steps)
+    return path
+
+
+def swinging(amplitude: float) -> np.ndarray:
+    """Energies whose sum is -amplitude sin^2 of two swings: a store that gives and takes back."""
+    W = -amplitude * np.sin(2.0 * np.pi * np.arange(N + 1) / N) ** 2
+    return np.diff(W)
+
+
+def test_signs_cancel_in_the_net_and_not_in_the_gross(tmp_path: Path) -> None:
+    """Alternating +-2 J: 0 J net, 800 J gross; the ledger, its file and the tables say so."""
+    made = 2.0 * (-1.0) ** np.arange(N)
+    path = logged(tmp_path / "a.parquet", np.stack([made + 5.0, np.full(N, -5.0)], axis=1))
+    (junction,) = summarise(path).junctions
+    assert (junction.residual, junction.gross, junction.exchanged) == (0.0, 2.0 * N, 5.0 * N)
+    assert [c.gross for c in summarise(path).components] == [5.0 * N, 5.0 * N]
+    (found,) = blame(path).junctions
+    assert (found.net, found.gross, found.members) == (0.0, 2.0 * N, ["motor", "spring"])
+    assert found.causes == {EXTRAPOLATED: 2.0 * N}
+
+
+def test_a_member_that_gives_without_an_end_is_named_with_the_time(tmp_path: Path) -> None:
+    path = logged(tmp_path / "a.parquet", np.stack([np.full(N, -0.5), swinging(3.0)], axis=1))
+    motor, spring = blame(path).members
+    assert motor.component == "motor" and motor.makes and not spring.makes
+    assert motor.least == pytest.approx(-0.5 * N) and motor.least_t == pytest.approx(N * H)
+    assert spring.least == pytest.approx(-3.0) and spring.net == pytest.approx(0.0, abs=1e-12)
+    told = why(blame(path))
+    assert any("Member motor has given out 200 J" in s and "makes energy" in s for s in told)
+    assert "Member spring" in told[-1] and "store of at least that" in told[-1]
+
+
+def test_steps_that_were_given_up_are_told_apart(tmp_path: Path) -> None:
+    """Of 400 steps that make 1 J each, 100 did not converge; the first cause is what the iteration left elsewhere."""
+    tests = ["unconverged" if k % 4 == 0 else "energy" for k in range(N)]
+    path = logged(tmp_path / "a.parquet", np.stack([np.full(N, 6.0), np.full(N, -5.0)], axis=1), tests)
+    causes = blame(path).junctions[0].causes
+    assert causes[UNCONVERGED] == N / 4 and sum(causes.values()) == N and EXTRAPOLATED not in causes
+
+
+def test_why_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = str(logged(tmp_path / "a.parquet", np.stack([np.full(N, 6.0), np.full(N, -5.0)], axis=1)))
+    assert main(["audit", path, "--why"]) == 0
+    told = capsys.readouterr().out.splitlines()
+    assert told[0].startswith("1. Member spring has given out 2e+03 J more than it was given by t = 4 s, and goes on")
+    assert told[1].startswith("2. Junction bond of motor, spring made 400 J gross, 400 J net, of 2.2e+03 J exchanged")
+    assert "Next: a smaller step" in told[1]
+    assert main(["audit", path, "--why", "--by", "port", "--percent"]) == 2
+    assert "leave out --by and --percent" in capsys.readouterr().err
+
+
+def test_a_run_that_makes_nothing_has_one_sentence(
+    compiler: None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    audit = str(tmp_path / "a.parquet")
+    assert main(["run", "oscillator", "--stop", "0.1", "--coupling", "newton", "--audit", audit, "--quiet"]) == 0
+    capsys.readouterr()
+    assert main(["audit", audit, "--why"]) == 0
+    assert capsys.readouterr().out.startswith("1. No junction made more than")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("coupling", "step", "net", "gross"),
+    [
+        (["jacobi"], 1e-3, 3.15, 4.54), (["jacobi"], 5e-3, 16.3, 23.3), (["jacobi"], 1e-2, 33.4, 47.7),
+        (["gauss-seidel", "--sequence", "wheel,chassis"], 1e-3, 0.0, 3.89),
+        (["gauss-seidel", "--sequence", "wheel,chassis"], 5e-3, 0.0, 20.0),
+        (["gauss-seidel", "--sequence", "wheel,chassis"], 1e-2, 0.0, 40.2),
+    ],
+)  # fmt: skip
+def test_the_quarter_truck(tmp_path: Path, coupling: list[str], step: float, net: float, gross: float) -> None:
+    """Numbers of a bare loop over the two units, port work by displacement and by the trapezoidal rule."""
+    for path in (public(CHASSIS, WHEEL), public(WHEEL)):
+        shutil.copy(path, tmp_path)
+    (tmp_path / "truck.py").write_text(SCENE)
+    audit = tmp_path / "a.parquet"
+    options = ["--coupling", *coupling, "--step", f"{step:g}", "--audit", str(audit), "--quiet", *FINE]
+    assert main(["run", str(tmp_path / "truck.py"), *options]) == 0
+    (found,) = blame(audit).junctions
+    assert found.gross == pytest.approx(gross, rel=0.02) and found.net == pytest.approx(net, rel=0.02, abs=1e-7)
+    assert set(found.causes) == {EXTRAPOLATED}
+    (told,) = summarise(audit).junctions
+    assert (told.gross, told.residual) == pytest.approx((found.gross, found.net), rel=1e-9, abs=1e-9)
