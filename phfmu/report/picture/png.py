@@ -126,7 +126,7 @@ def _near(ax: Any, panel: Panel, whole: Any) -> None:
     start, stop = float(times[0][0]), float(times[0][-1])
     ax.set_xlim(start, stop)
     ax.xaxis.set_major_locator(MaxNLocator(3))
-    ax.set_title("in the grey window", fontsize=8, loc="left", color="0.4")
+    ax.set_title("in the grey window", fontsize=8, loc="right", color="0.4")
     ax.set_facecolor("0.975")
     whole.axvspan(start, stop, color="0.5", alpha=0.35, lw=0, zorder=0.5)
 
