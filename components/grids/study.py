@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import inf
 
 from phfmu import Event, Scene
 from phfmu.components.grids.model import GridModel, Plants, grid_model
@@ -53,9 +54,12 @@ def trip_of(text: str) -> Trip:
     """A trip from `line5-7` or `line5-7:0.18`; ValueError for other words."""
     branch, mark, time = text.partition(":")
     try:
-        return Trip(branch, float(time) if mark else None)
+        found = Trip(branch, float(time) if mark else None)
     except ValueError:
         raise ValueError(f"trip '{text}': expected branch or branch:time (line5-7:0.18)") from None
+    if found.t is not None and not 0.0 <= found.t < inf:
+        raise ValueError(f"trip '{text}': its time must be 0 or later")
+    return found
 
 
 def grid_scene(

@@ -82,6 +82,13 @@ class Book:
         lost = float(e.lost.sum())
         self.notes.append(f"t = {e.t:.12g} s: {e.names}" + (f", lost {lost:.9g} J" if lost else ""))
 
+    def as_near(self, row: Array) -> bool:
+        """Whether a row is as near to the hidden constraints as the steps so far were.
+
+        Currents that are given over time at a node of inductances hold in the mean of steps, and at their ends to their order.
+        """
+        return bool(self._watch) and all(abs(row[i]) <= self._worst[name] for name, i in self._watch)
+
     def inputs(self, changes: Sequence[tuple[int, Event]]) -> None:
         """Book free inputs that changed between steps; they change no energy."""
         for _, e in changes:

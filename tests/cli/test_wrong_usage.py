@@ -21,7 +21,7 @@ WRONG = [
     ("check empty.py", "empty.py has no function that builds a model phfmu new component NAME"),
     ("check torn.py", "torn.py: SyntaxError line 1"),
     ("check one.py", "one.py gives an int; expected a PHDAE"),
-    ("check mass --srict", "unrecognized arguments: --srict; did you mean --strict?"),
+    ("check mass --srict", "unrecognized arguments: --srict; did you mean --strict"),
     ("info empty.fmu", "empty.fmu: not a readable archive export or download it again"),
     ("info mass --al --every", "unrecognized arguments: --every"),
     ("sweep mass --measure max(v)", "one of the arguments --vary --table is required phfmu sweep --help"),

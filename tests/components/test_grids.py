@@ -267,6 +267,20 @@ def test_a_line_trips_at_its_current_zeros() -> None:
     assert r.ledger.summary().closed
 
 
+def test_lines_trip_beside_plants_that_are_currents(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Currents given over time at a node of inductances hold in the mean of steps, which is no inconsistent state at an event."""
+    case, table = str(CASES / "ieee9.raw"), tmp_path / "r.csv"
+    line = [case, "--plants", "currents", "--trip", "line7-8:0.005"]
+    assert main(["run", *line, "--stop", "0.02", "-o", str(table)]) == 0
+    assert "VIOLATED" not in capsys.readouterr().out
+    names, *rows = table.read_text().splitlines()
+    i = np.array([[float(x) for x in row.split(",")] for row in rows])[:, names.split(",").index("line7_8.a.i[1]")]
+    assert np.abs(i).max() > 100.0 and np.abs(i[-20:]).max() < 1e-6 * np.abs(i).max()
+    assert main(["check", *line]) == 0
+    assert main(["export", *line, "-o", str(tmp_path), "--fmi", "3"]) == 0
+    assert (tmp_path / "ieee9_fmi3.fmu").exists()
+
+
 def test_units_without_data_are_named_or_become_currents() -> None:
     grid = nine()
     grid = replace(grid, dynamics=tuple(d for d in grid.dynamics if d.bus != 3))
@@ -321,6 +335,9 @@ def test_words_of_faults_and_trips() -> None:
     for text in ("bus7", "bus7:a:b", "bus7:0.2:0.1"):
         with pytest.raises(ValueError, match="fault"):
             fault_of(text)
+    for text in ("line5-7:a", "line5-7:-0.1", "line5-7:nan", "line5-7:inf"):
+        with pytest.raises(ValueError, match="trip"):
+            trip_of(text)
     with pytest.raises(ValueError, match="say when"):
         grid_scene(nine(), trips=[Trip("line5-7")])
     with pytest.raises(GridError, match="no line or transformer 'line5-8' in service; did you mean"):

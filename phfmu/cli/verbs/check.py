@@ -11,10 +11,13 @@ if TYPE_CHECKING:
 
 def add_parser(verbs: Any) -> None:
     from phfmu.cli.codes import TARGET
+    from phfmu.cli.options import add_grid, add_lenient
 
     parser = verbs.add_parser("check", help="every problem with its remedy; exit 1 if there is an error")
     parser.add_argument("target", help=TARGET)
     parser.add_argument("--strict", action="store_true", help="warnings count as errors")
+    add_grid(parser)
+    add_lenient(parser)
     parser.set_defaults(call=call)
 
 
@@ -22,7 +25,7 @@ def call(args: argparse.Namespace) -> int:
     from phfmu.cli.codes import FINE, PROBLEMS
     from phfmu.target import is_fmu
 
-    lines, errors, warnings = _of_unit(args.target) if is_fmu(args.target) else _of_model(args.target)
+    lines, errors, warnings = _of_unit(args.target) if is_fmu(args.target) else _of_model(args)
     for line in lines:
         print(line)
     counts = [_count(errors, "problem"), _count(warnings, "warning")]
@@ -37,11 +40,11 @@ def _of_unit(path: str) -> tuple[list[str], int, int]:
     return lines, len(lines), 0
 
 
-def _of_model(target: str) -> tuple[list[str], int, int]:
+def _of_model(args: argparse.Namespace) -> tuple[list[str], int, int]:
+    from phfmu.cli.options import scene_of
     from phfmu.network.check_scene import check_scene
-    from phfmu.target import scene
 
-    chosen = scene(target)
+    chosen = scene_of(args)
     problems = check_scene(chosen, strict=True)
     errors = sum(p.severity == "error" for p in problems)
     if not errors and not chosen.units and (declaration := chosen.declaration()).constraints:

@@ -29,7 +29,7 @@ def add_parser(verbs: Any) -> None:
     parser = verbs.add_parser(
         "export", help=f"write FMI {' and '.join(VERSIONS)} Co-Simulation FMUs, or a package of SSP"
     )
-    parser.add_argument("target", help=TARGET.rsplit(" | ", 1)[0])
+    parser.add_argument("target", help=TARGET.replace(" | X.fmu", ""))
     parser.add_argument("-o", "--output", default=".", metavar="DIR", help="folder for the FMUs (default: here)")
     parser.add_argument(
         "--fmi", action="append", choices=[_short(n) for n in VERSIONS], help="FMI version; all if not given"
@@ -60,6 +60,8 @@ def add_parser(verbs: Any) -> None:
                              "scheme (without it they are composed to one model)")  # fmt: skip
     parser.add_argument("--ssp", nargs="?", const=SSP_VERSIONS[0], choices=SSP_VERSIONS, metavar="VERSION",
                         help="a package of SSP (1.0 or 2.0; default 1.0): members as units, parameters, connections")  # fmt: skip
+    options.add_grid(parser)
+    options.add_lenient(parser)
     add_settings(parser)
     add_no_check(parser)
     parser.set_defaults(call=call)
@@ -68,7 +70,7 @@ def add_parser(verbs: Any) -> None:
 def call(args: argparse.Namespace) -> int:
     from dataclasses import replace
 
-    from phfmu.cli.options import scheme_of
+    from phfmu.cli.options import scene_of, scheme_of
     from phfmu.cli.settings import settings, with_settings
     from phfmu.cli.sound import require_sound
     from phfmu.cli.timeline import started
@@ -77,9 +79,8 @@ def call(args: argparse.Namespace) -> int:
     from phfmu.fmu.export.schedule import fed_inside
     from phfmu.fmu.version import VERSIONS
     from phfmu.network.signal_ports import exchanging
-    from phfmu.target import scene
 
-    s = scene(args.target)
+    s = scene_of(args)
     if args.ssp:
         _require_places(args, s)
         return export_package(args, s)
