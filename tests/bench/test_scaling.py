@@ -78,12 +78,12 @@ def test_code_is_the_same_and_memory_linear(name: str, compiler: None) -> None:
 
 def test_planned_pivots_are_distinct() -> None:
     """Also where two columns want one row (the bare bus of the grid): a trial factor with them stays sparse."""
-    from phfmu.engine.build.derived import capacity
+    from phfmu.engine.build.derived import factor_values
 
     plans = [build_model(ladder(n).declaration()).step for n in (4, 12)]
     for p in plans:
         assert np.array_equal(np.sort(p.pivot_row), np.arange(p.nw))
-    room = [capacity(p) / p.nw for p in plans]
+    room = [factor_values(p)["lucap"] / p.nw for p in plans]
     assert room[1] == pytest.approx(room[0], rel=0.25)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq, fsolve
 
-from phfmu.engine.build.derived import capacity
+from phfmu.engine.build.derived import factor_values
 from phfmu.engine.native.native import NativeInstance
 from phfmu.outcome.status import Status, StepFailure
 from tests.engine.hand_made import (
@@ -227,7 +227,7 @@ def test_a_matrix_that_stays_is_factored_once() -> None:
     """Linear model above the size where the factors get all the memory; a new step size is a new matrix."""
     n, h = 150, 0.05
     inst = NativeInstance(heat(n))
-    assert 3 * n < capacity(inst.model.step) < n * n
+    assert 3 * n < factor_values(inst.model.step)["lucap"] < n * n
     x = inst.run(0.0, h, 10, ("x",))["x"]
     a = np.diag(np.full(n, -2.0)) + np.diag(np.ones(n - 1), 1) + np.diag(np.ones(n - 1), -1)
     exact = np.linalg.matrix_power(np.linalg.solve(np.eye(n) - h / 2 * a, np.eye(n) + h / 2 * a), 10)

@@ -16,24 +16,43 @@ from phfmu.plan.plan import Floats, Group, Ints, Kernel, Plan, Powers, Products
 from phfmu.schur.lane_groups import KINDS, LaneGroup, in_order
 from phfmu.schur.stepper import SchurStepper
 
+#: factors that cost less than so many iterations are not kept over steps
+LEAST_KEPT = 2
 
-def capacity(plan: Plan) -> int:
-    """Room for the entries of L + U of the Newton matrix."""
-    return factor_room(plan.matrix.row, plan.colptr, plan.order, plan.pivot_row)
+
+def factor_values(plan: Plan) -> dict[str, Any]:
+    """Room for the entries of L + U of the Newton matrix; iterations that cost as much as a factor, 0 where that is not kept.
+
+    In multiplications: an iteration takes two for each entry of L + U, with loads, and the values of the kernels, about a third
+    of what they compute; a factor the derivatives, the products of the matrix, its scaling and the elimination. Constraints that
+    may rest change the matrix; models with them keep no factor.
+    """
+    room, entries, elimination = _trial(plan.matrix.row, plan.colptr, plan.order, plan.pivot_row)
+    kernels = sum(g.n * g.kernel.function.n_instructions() for g in plan.groups)
+    factor = elimination + 2 * kernels // 3 + len(plan.matrix.s) + 2 * plan.matrix.nnz
+    most = 0 if len(plan.hold) or not len(plan.update_w) else factor // max(2 * entries + kernels // 3, 1)
+    return {"lucap": room, "keep_most": most if most >= LEAST_KEPT else 0}
 
 
 def factor_room(row: Ints, colptr: Ints, order: Ints, pivot_row: Ints) -> int:
     """Room for the entries of L + U: all of them up to 64 unknowns, else 4 times a trial factorisation."""
+    return _trial(row, colptr, order, pivot_row)[0]
+
+
+def _trial(row: Ints, colptr: Ints, order: Ints, pivot_row: Ints) -> tuple[int, int, int]:
+    """Room for L + U, the entries they have with the planned pivots, and the multiplications of a factorisation."""
     n = len(order)
     if n <= 64:
-        return n * n
+        return n * n, n * n, 0
     values = np.random.default_rng(0).uniform(0.5, 1.5, len(row))
     a = csc_matrix((values, row, colptr), shape=(n, n))[:, order]
     if np.array_equal(np.sort(pivot_row), np.arange(n)):  # planned pivots on the diagonal
         a = a[pivot_row, :]
     a = a + diags(np.full(n, 4.0))
     trial = splu(csc_matrix(a), permc_spec="NATURAL", diag_pivot_thresh=0.0)
-    return int(min(4 * (trial.L.nnz + trial.U.nnz) + n, n * n))
+    entries = trial.L.nnz + trial.U.nnz
+    below, right = np.diff(trial.L.indptr) - 1, np.bincount(trial.U.indices, minlength=n) - 1
+    return int(min(4 * entries + n, n * n)), int(entries), int(below @ right)
 
 
 @dataclass(frozen=True)
@@ -165,7 +184,7 @@ def plan_values(plan: Plan, index: Callable[[Kernel], int]) -> dict[str, Any]:
             **hold_values(plan),
             "nmean": len(plan.mean_a),
             "nwork": len(plan.work_pair),
-            "lucap": capacity(plan),
+            **factor_values(plan),
             "groups": [(g, group_values(g, plan.nw, index)) for g in groups],
         }
     )

@@ -91,8 +91,9 @@ static int grow(ph_system *s, double h) {
     return status;
 }
 
-/* Solves for step size h at the x, u and p in place: plain from the guess, plain from rest, from shorter
- * steps, damped from the guess, damped from rest. Nothing but Y, R and work space is written. */
+/* Solves for step size h at the x, u and p in place: with a kept factor if the last step had this size, plain
+ * from the guess, plain from rest, from shorter steps, damped from the guess, damped from rest. Nothing but
+ * Y, R and work space is written. */
 int ph_solve(ph_system *s, double h) {
     const int guessed = *s->last_h != 0.0;
     int status = PH_OK;
@@ -103,6 +104,8 @@ int ph_solve(ph_system *s, double h) {
         ph_eval(s, 0, 1);
         return ph_finite(s->r, s->plan->nrow) ? PH_OK : PH_NOT_FINITE;
     }
+    if (s->trusts && guessed && h == *s->last_h && attempt(s, h, 0, PH_KEPT) == PH_OK)
+        return PH_OK;
     for (int damped = 0; damped < 2; damped++) {
         for (int rest = !guessed; rest < 2; rest++) {
             status = attempt(s, h, rest, damped ? PH_DAMPED : PH_CHORD);

@@ -80,7 +80,7 @@ static void copy(double *to, const double *from, int n) {
 
 /* No pivots are known. */
 static void unlearn(ph_system *s) {
-    s->lu.ready = s->lu.filled = 0;
+    s->lu.ready = s->lu.filled = s->holds = 0;
     if (s->plan->nw > 0)
         s->pivot[0] = -1;
 }
@@ -91,6 +91,7 @@ void ph_forget(ph_instance *in) {
         ph_clear(s->last, s->plan->nw);
         unlearn(s);
     }
+    in->head->kept = 0;
     ph_set_algebraic(in, in->model->a0);
 }
 
@@ -166,6 +167,7 @@ int ph_continue(ph_instance *in, const ph_instance *from) {
     if (!together) /* its own last step is no longer the one before the next */
         ph_seed(in, in->table + in->offset[PH_A]);
     in->head->parts = 0;
+    in->head->kept = 0;
     in->head->dirty = 1;
     ph_rest_placed(in);
     ph_rest_continue(in, from);

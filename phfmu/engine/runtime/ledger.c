@@ -136,6 +136,15 @@ void ph_begin_step(ph_instance *in, double h) {
     in->head->step_h = h;
 }
 
+/* The matrix of the factor, for the next step. */
+static void keep(ph_instance *in) {
+    ph_system *s = &in->step;
+    in->head->kept = s->plan->keep_most > 0 && s->lu.filled && s->lu.ready;
+    if (in->head->kept && !s->holds)
+        memcpy(s->kept, s->factored, sizeof(double) * (size_t)s->plan->nnz);
+    s->holds = in->head->kept;
+}
+
 /* Books the step into the cumulative sums. */
 void ph_finish_step(ph_instance *in, double t) {
     const ph_plan *p = in->step.plan;
@@ -153,6 +162,7 @@ void ph_finish_step(ph_instance *in, double t) {
     }
     if (in->step.lu.ready)
         memcpy(in->step.pivot, in->step.lu.pivot, sizeof(int) * (size_t)p->nw);
+    keep(in);
     in->table[p->nx] = t;
     in->head->theta = 1.0;
     in->head->dirty = 1;

@@ -39,6 +39,7 @@ static void lay_state(ph_instance *in, ph_pool *b) {
     in->changes = ph_take(b, p->nhold > 0 ? sizeof(ph_rest_change) * PH_KEPT_CHANGES : 0);
     in->step.last = ph_take_doubles(b, p->nw);
     in->step.pivot = ph_take_ints(b, p->nw);
+    in->step.kept = ph_take_doubles(b, p->keep_most ? p->nnz : 0);
     in->step.rests = in->instant.rests = ph_take_ints(b, p->nhold);
     in->instant.last = ph_take_doubles(b, in->model->instant->nw);
     in->instant.pivot = ph_take_ints(b, in->model->instant->nw);

@@ -44,6 +44,7 @@ int ph_newton_factor(ph_system *s) {
     int status;
     if (s->lu.filled && memcmp(s->a, s->factored, bytes) == 0)
         return PH_OK;
+    s->holds = 0;
     double *restrict scale = s->scale;
     double *restrict scaled = s->scaled;
     const double *restrict a = s->a;
@@ -75,6 +76,22 @@ int ph_newton_factor(ph_system *s) {
     if (status == PH_OK)
         memcpy(s->factored, s->a, bytes);
     return status;
+}
+
+/* The factor of the kept matrix with the pivots of the state, made again where another one has taken its
+ * place: the same bits, as it is the same sums in the same order. */
+int ph_newton_recall(ph_system *s) {
+    if (s->holds && s->lu.filled)
+        return PH_OK;
+    if (ph_lu_adopt(&s->lu, s->pivot) || !s->lu.ready)
+        return PH_SINGULAR;
+    memcpy(s->a, s->kept, sizeof(double) * (size_t)s->plan->nnz);
+    s->hp[1] = NAN; /* constant entries of A belong to another step size */
+    s->lu.filled = 0;
+    if (ph_newton_factor(s))
+        return PH_SINGULAR;
+    s->holds = 1;
+    return PH_OK;
 }
 
 /* rhs = scale R; returns its 2-norm. */
@@ -190,6 +207,8 @@ static int solved(const ph_system *s, int kept, int grew, int stalls, double pre
     int crawls = ratio > PH_CRAWL && ratio < 1.0;
     if (s->update == 0.0)
         return 1;
+    if (kept && !isfinite(previous)) /* the first update of a factor from before says nothing of the next */
+        return 0;
     if (s->update <= PH_TOLERANCE && (!grew || previous <= PH_TOLERANCE) &&
         ratio * ratio * s->update <= PH_ROUNDING)
         return 1;
@@ -204,7 +223,7 @@ static int solved(const ph_system *s, int kept, int grew, int stalls, double pre
 int ph_newton(ph_system *s, ph_newton_kind kind) {
     const int damped = kind == PH_DAMPED;
     double previous = INFINITY;
-    int chord = 0, grew = 0, stalls = 0;
+    int chord = kind == PH_KEPT, grew = 0, stalls = 0;
     s->update = INFINITY;
     for (s->iterations = 1; s->iterations <= PH_NEWTON_ITERATIONS; s->iterations++) {
         double norm, damping = 1.0;
@@ -232,7 +251,7 @@ int ph_newton(ph_system *s, ph_newton_kind kind) {
             move(s, s->y, -1.0);
             continue;
         }
-        chord = kind == PH_CHORD && !grew && s->update <= CHORD && s->update <= CONTRACTION * previous;
+        chord = kind <= PH_CHORD && !grew && s->update <= CHORD && s->update <= CONTRACTION * previous;
         previous = s->update;
     }
     s->iterations = PH_NEWTON_ITERATIONS;

@@ -12,7 +12,7 @@
 #include "names.h"
 #include "schur.h"
 
-#define PH_VERSION 7
+#define PH_VERSION 8
 #define PH_STAMP                                                                                             \
     (((uint64_t)PH_VERSION << 48) | ((uint64_t)sizeof(ph_model) << 32) | ((uint64_t)sizeof(ph_plan) << 16) | \
      (uint64_t)sizeof(ph_group))
@@ -38,25 +38,26 @@ typedef struct ph_group {
  * rows R = [residual nw | pair outputs nq*k | observables nobs]. */
 typedef struct ph_plan {
     int nx, nw, nu, k, nz, np, nq, nobs, na, ncomp, nv, nrow;
-    int ncondensed;          /* last rows of R that are copied to the end of Z after the solve */
-    int nslot;               /* length of V, V[0] = 1 */
-    int ngroup;              /* stage 0 groups come first */
-    int nconst;              /* triplets R[row] += val h^pow Y[src] */
-    int nconst_early;        /* those of residual rows, which come first */
-    int nnz;                 /* nonzeros of A */
-    int nfixed, nvarying;    /* constant and varying parts of A */
-    int nderivative;         /* entries of the other derivative blocks */
-    int nreg;                /* regularised diagonal entries */
-    int nhold;               /* holonomic constraints whose rows may rest, the same in both plans */
-    int vanishing;           /* 1: rounding of forces moves a mass they act on, Newton begins with delta */
-    int nupdate, nmean;      /* runs of the update, entries of the algebraic report */
-    int nwork;               /* rows with the work of impulses */
-    int carries;             /* 1: algebraic variables of the step's end enter the next; 0: means */
-    int lucap;               /* room for the entries of L + U */
-    const ph_group *groups;  /* ngroup */
-    const int *const_row;    /* nconst */
-    const int *const_src;    /* nconst */
-    const double *const_val; /* nconst */
+    int ncondensed;         /* last rows of R that are copied to the end of Z after the solve */
+    int nslot;              /* length of V, V[0] = 1 */
+    int ngroup;             /* stage 0 groups come first */
+    int nconst;             /* triplets R[row] += val h^pow Y[src] */
+    int nconst_early;       /* those of residual rows, which come first */
+    int nnz;                /* nonzeros of A */
+    int nfixed, nvarying;   /* constant and varying parts of A */
+    int nderivative;        /* entries of the other derivative blocks */
+    int nreg;               /* regularised diagonal entries */
+    int nhold;              /* holonomic constraints whose rows may rest, the same in both plans */
+    int vanishing;          /* 1: rounding of forces moves a mass they act on, Newton begins with delta */
+    int nupdate, nmean;     /* runs of the update, entries of the algebraic report */
+    int nwork;              /* rows with the work of impulses */
+    int carries;            /* 1: algebraic variables of the step's end enter the next; 0: means */
+    int lucap;              /* room for the entries of L + U */
+    int keep_most;          /* iterations that cost as much as a factor; 0: factors are not kept over steps */
+    const ph_group *groups; /* ngroup */
+    const int *const_row;   /* nconst */
+    const int *const_src;   /* nconst */
+    const double *const_val;          /* nconst */
     const signed char *const_pow;     /* nconst */
     const int *colptr;                /* nw+1: columns of A */
     const int *matrix_row;            /* nnz: rows of A, ascending inside a column */

@@ -23,26 +23,30 @@ static void adopt(ph_system *s) {
     s->lu.known = s->lu.ready = s->lu.filled = 0;
 }
 
+/* Where a saved state has what the instance has at `own`. */
+static const void *place(const ph_instance *in, const void *from, const void *own) {
+    return (const char *)from + ((const char *)own - (const char *)(const void *)in->head);
+}
+
 int ph_load(ph_instance *in, const void *from) {
     const ptrdiff_t flags = (char *)in->step.rests - (char *)in->head;
     const size_t length = sizeof(int) * (size_t)in->model->step->nhold;
     ph_head head;
-    int others;
+    int others, holds = in->step.holds;
     memcpy(&head, from, sizeof(head));
     if (head.token != in->model->code->token || head.size != in->state_size)
         return PH_ABI;
     others = length > 0 && memcmp(in->step.rests, (const char *)from + flags, length) != 0;
+    if (holds) /* of the matrix that is loaded */
+        holds = memcmp(in->step.kept, place(in, from, in->step.kept),
+                       sizeof(double) * (size_t)in->step.plan->nnz) == 0;
     memcpy(in->head, from, in->state_size);
     if (others)
         ph_rest_take(in);
     adopt(&in->step);
     adopt(&in->instant);
+    in->step.holds = holds && in->head->kept;
     return PH_OK;
-}
-
-/* Where a saved state has what the instance has at `own`. */
-static const void *place(const ph_instance *in, const void *from, const void *own) {
-    return (const char *)from + ((const char *)own - (const char *)(const void *)in->head);
 }
 
 static int is_flag(int value) {
@@ -87,7 +91,7 @@ const char *ph_state_fault(const ph_instance *in, const void *from) {
     const double lengths[] = {head->last_h[0], head->last_h[1], head->step_h, head->first_h};
     if (head->token != in->model->code->token || head->size != in->state_size)
         return "it belongs to another model, or to another mode";
-    if (!is_flag(head->held) || !is_flag(head->dirty) || !is_flag(head->placed))
+    if (!is_flag(head->held) || !is_flag(head->kept) || !is_flag(head->dirty) || !is_flag(head->placed))
         return "a flag is neither 0 nor 1";
     if (!ph_finite(lengths, 4) || !(head->theta >= 0.0 && head->theta <= 1.0))
         return "the length of a step is not finite";

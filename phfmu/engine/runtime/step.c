@@ -108,11 +108,38 @@ int ph_skip(ph_instance *in, double t) {
     return PH_OK;
 }
 
+/* Whether factors are kept is measured: one has served if the step takes no factor of its own, nor so many
+ * iterations more than steps without that they cost as much. One that has served too few steps is a loss,
+ * and the next steps do without. */
+static int solve_whole(ph_instance *in, double t, double h) {
+    ph_system *s = &in->step;
+    ph_head *head = in->head;
+    const int trusts = head->kept && head->unkept == 0 && ph_newton_recall(s) == PH_OK;
+    const long long factored = in->count[PH_FACTORED], begun = in->count[PH_ITERATIONS];
+    int status, iterations;
+    s->trusts = trusts;
+    status = try_part(in, t, h, 0.0, 1.0);
+    s->trusts = 0;
+    if (status)
+        return status;
+    iterations = (int)(in->count[PH_ITERATIONS] - begun);
+    if (!trusts) {
+        head->usual = iterations;
+        head->unkept -= head->unkept > 0;
+    } else if (in->count[PH_FACTORED] == factored && iterations <= head->usual + s->plan->keep_most) {
+        head->served += head->served < PH_SERVED_STEPS;
+    } else {
+        head->unkept = head->served < PH_SERVED_STEPS ? PH_UNKEPT_STEPS : 1;
+        head->served = 0;
+    }
+    return PH_OK;
+}
+
 /* The step as one part, which is what nearly all steps are: solved before anything of the state changes, it
  * needs no copy to come back to. */
 static int whole(ph_instance *in, double t, double h) {
     double *time = in->table + in->step.plan->nx, before = *time;
-    int status = try_part(in, t, h, 0.0, 1.0);
+    int status = solve_whole(in, t, h);
     *time = before;
     if (status)
         return status;

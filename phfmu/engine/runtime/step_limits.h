@@ -49,6 +49,11 @@
 #define PH_FLOOR 64
 #define PH_CONSTRAINT_SUMS 16
 
+/* Steps that a kept factor has to serve to be a gain, and steps with factors of their own after one that has
+ * not. */
+#define PH_SERVED_STEPS 4
+#define PH_UNKEPT_STEPS 200
+
 /* Shortest step of the line search. */
 #define PH_LEAST_DAMPING 0.015625
 

@@ -45,7 +45,8 @@ struct ph_system {
     double *last;       /* nw: last converged unknowns */
     double *last_h;     /* step they belong to, 0 = start values */
     int *pivot;         /* nw, pivots the state remembers; pivot[0] = -1: none */
-    int *rests;         /* nhold, one for both systems: PH_RESTS = left out */
+    double *kept; /* nnz if factors are kept over steps: the A of the factor at the end of the last step */
+    int *rests;   /* nhold, one for both systems: PH_RESTS = left out */
 
     double *y;           /* nv+nz */
     double *r;           /* nrow */
@@ -69,6 +70,8 @@ struct ph_system {
     ph_lu lu;
     int resting; /* constraints left out */
     int bare;    /* 1: factors without delta */
+    int holds;   /* the factor is that of `kept` */
+    int trusts;  /* Newton's method begins with it */
     int empty;   /* row without entries at the last factorisation, or -1 */
     int iterations;
     double update;
@@ -84,6 +87,7 @@ void ph_eval_derivatives(ph_system *s, double *out);
 void ph_eval_ledger(ph_system *s, double *stored, double *moved, double *lost, double *numerical);
 
 typedef enum ph_newton_kind {
+    PH_KEPT,   /* begins with the factor of the last step, then as the next one */
     PH_CHORD,  /* keeps its factor while that contracts */
     PH_FRESH,  /* a new matrix every iteration */
     PH_DAMPED, /* that and a line search */
@@ -93,6 +97,7 @@ int ph_newton(ph_system *s, ph_newton_kind kind);
 int ph_solve(ph_system *s, double h);
 void ph_newton_bare(ph_system *s, int bare);
 int ph_newton_factor(ph_system *s);
+int ph_newton_recall(ph_system *s);
 void ph_explain(ph_system *s, int status, ph_report *report);
 
 #define PH_SMALLEST (1 << PH_DEPTH) /* smallest substeps of an internal step */
@@ -123,6 +128,10 @@ typedef struct ph_head {
     int dirty;        /* end values are out of date */
     int parts;        /* substeps of the last communication step, 0 = none yet */
     int changes;      /* of the constraints at rest since the start */
+    int kept;         /* the matrix of the last step's factor is kept */
+    int unkept;       /* steps until the next one begins with a kept factor */
+    int usual;        /* iterations of the last step that did not */
+    int served;       /* steps that the kept factor has served */
     int placed;       /* state or parameters are new: which constraints rest has to be chosen */
     int asked;        /* internal steps of the last communication step, if it took more than one solve */
     int halved;       /* how many of these were halved; the next two are of the first of them */
