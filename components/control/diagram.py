@@ -44,11 +44,18 @@ class Diagram:
         self.values: dict[str, float] = {}
 
     def parameter(
-        self, name: str, value: float, description: str = "", *, unit: str = "1", positive: bool = False
+        self,
+        name: str,
+        value: float,
+        description: str = "",
+        *,
+        unit: str = "1",
+        positive: bool = False,
+        least: float | None = None,
     ) -> ca.SX:
-        """A parameter by its standard name; times, droops and bases are positive."""
+        """A parameter by its standard name, at least `least`; times, droops and bases are positive."""
         self.values[name] = float(value)
-        least = 0.0 if unit == "s" and positive and not value else None
+        least = 0.0 if unit == "s" and positive and not value else least
         made = parameter(
             name, value, unit=unit, min=least, positive=positive and least is None, description=description
         )
@@ -58,14 +65,17 @@ class Diagram:
     def data(
         self, given: dict[str, float], seconds: Sequence[str] = (), units: Mapping[str, str] | None = None
     ) -> dict[str, ca.SX]:
-        """Several parameters; those named in `seconds` are times, `units` tells others.  ValueError for times below zero."""
+        """Several parameters; those named in `seconds` are times, `units` has others that are not negative.
+
+        ValueError for times below zero.
+        """
         wrong = [f"{n} = {given[n]:g} s" for n in seconds if not given[n] >= 0]
         if wrong:
             raise ValueError(f"{self.name}: times must not be negative: {', '.join(wrong)}")
-        told = dict.fromkeys(seconds, "s")
-        other = units or {}
+        told = {**(units or {}), **dict.fromkeys(seconds, "s")}
+        positive, limited = {*seconds, *POSITIVE}, set(told).difference(seconds)
         return {
-            n: self.parameter(n, v, unit=told.get(n) or other.get(n, "1"), positive=n in (*seconds, *POSITIVE))
+            n: self.parameter(n, v, unit=told.get(n, "1"), positive=n in positive, least=0.0 if n in limited else None)
             for n, v in given.items()
         }
 

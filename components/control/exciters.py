@@ -144,7 +144,7 @@ def st1a(
     if TA:
         VA = d.state("VA", 1.0, "regulator output")
         efd = output(VA.sx)
-        VF = d.feedback("rate", efd, d.parameter("KF", KF, unit="s"), d.time("TF", TF)) if KF else 0.0
+        VF = d.feedback("rate", efd, d.parameter("KF", KF, unit="s", least=0.0), d.time("TF", TF)) if KF else 0.0
         d.drive(VA, (p["KA"] * compensated(VF) - VA.sx) / p["TA"], limits, TA)
     elif KF:
         raise ValueError(f"st1a: KF = {KF:g} needs TA > 0: Efd would depend on itself at once")
