@@ -13,7 +13,7 @@ import numpy as np
 from phfmu import PHDAE, ROTATIONAL, TRANSLATIONAL, Variable
 from phfmu.components.mechanical.multibody.body import Body, Spring
 from phfmu.components.mechanical.multibody.builder import Multibody
-from phfmu.components.mechanical.multibody.joint import Coordinate, Joint, Side, Symbols, coordinates
+from phfmu.components.mechanical.multibody.joint import Coordinate, Joint, Side, Symbols, coordinates, rate
 from phfmu.components.mechanical.multibody.parts import Combined, Particle
 from phfmu.components.mechanical.multibody.solids import add_solid
 
@@ -235,34 +235,57 @@ class Equations:
         angular = coordinate.unit == "rad"
         points = [p for body in (joint.a, joint.b) if body is not None for p in self.particles[id(body)]]
 
-        def rate(at: Any, speed: Any) -> ca.SX:
+        def form(at: Any, speed: Any) -> ca.SX:
             a, b = sides
             return coordinate.rate(a.seen(at), b.seen(at), a.seen(speed), b.seen(speed))
 
         if joint.damping:
             unit = "N.m.s/rad" if angular else "N.s/m"
             d = m.parameter(f"{name}.damping", joint.damping, unit=unit, min=0.0, description=f"friction of {name}")
-            m.rate_damper(points, rate, d)
+            m.rate_damper(points, form, d)
         if joint.motor:
             domain = ROTATIONAL if angular else TRANSLATIONAL
-            m.rate_port(name, domain, "effort" if joint.motor == "effort" else "flow", points, rate, f"motor of {name}")
+            m.rate_port(name, domain, "effort" if joint.motor == "effort" else "flow", points, form, f"motor of {name}")
         if self._only_directors_known(joint):
             return
+        if joint.armature:
+            self._armature(joint, sides, coordinate, angular)
         spring = self._spring_energy(joint, angular)
         if angular and joint.counted:
             start = float(coordinates(joint)[number]) if joint.start is None else joint.start
-            m.rate_integral(f"{name}.turned", points, rate, unit="rad", start=start, energy=spring)
+            m.rate_integral(f"{name}.turned", points, form, unit="rad", start=start, energy=spring)
         elif spring is not None:
             m.strain(lambda at: _length(coordinate, sides[0].seen(at), sides[1].seen(at)), spring)
         if self.observe:
             label = name if len(joint.equations.coordinates) == 1 else f"{name}.{coordinate.name}"
-            m.observable(f"{label}.rate", f"{coordinate.unit}/s", lambda d: rate(d.at, d.speed), f"rate of {name}")
+            m.observable(f"{label}.rate", f"{coordinate.unit}/s", lambda d: form(d.at, d.speed), f"rate of {name}")
             m.observable(
                 f"{name}.{coordinate.name}",
                 coordinate.unit,
                 lambda d: self._value(joint, sides, coordinate, d),
                 f"of {name}",
             )
+
+    def _armature(
+        self, joint: Joint, sides: tuple[JointSide, JointSide], coordinate: Coordinate, angular: bool
+    ) -> None:
+        """A particle that moves with the coordinate: u = L (cos, sin) of an angle, T = a |u'|^2/(2 L^2), or u = (s, 0)."""
+        value, speed = float(coordinates(joint)[0]), rate(joint)
+        size = next(body.rho for body in (joint.b, joint.a) if body is not None) if angular else 1.0
+        zero = [0.0] * (self.dim - 2)
+        c, s = size * np.cos(value), size * np.sin(value)
+        start = (
+            ([c, s, *zero], [-s * speed, c * speed, *zero]) if angular else ([value, 0.0, *zero], [speed, 0.0, *zero])
+        )
+        rotor = self.made.particle(joint.armature / size**2, *start, weight=False, name=f"{joint.name}.rotor")
+
+        def g(at: Any) -> ca.SX:
+            a, b, rest = sides[0].seen(at), sides[1].seen(at), ca.SX(self.dim - 2, 1)
+            if angular:
+                return at(rotor) - ca.vertcat(size * ca.dot(a.x, b.x), size * ca.dot(a.y, b.x), rest)
+            return at(rotor) - ca.vertcat(_length(coordinate, a, b), 0, rest)
+
+        self.made.constraint(g, f"rotor of {joint.name}", multiplier=(f"{joint.name}.rotor", "N"), kept=True)
 
     def _only_directors_known(self, joint: Joint) -> bool:
         """A joint with a rod or point mass has no coordinate that could be told."""

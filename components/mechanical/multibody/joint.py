@@ -124,6 +124,7 @@ class Joint:
 
     at_a, at_b [m], frame_a, frame_b (columns x, y, z): in the frames of the bodies;  length [m]: of a distance
     damping, stiffness, neutral: per coordinate rate and coordinate;  motor: "" or what is given, "effort" or "flow"
+    armature: inertia of a rotor [kg.m2] or mass [kg] that moves with the coordinate
     """
 
     kind: str
@@ -141,6 +142,7 @@ class Joint:
     neutral: float = 0.0
     motor: str = ""
     counted: bool = False
+    armature: float = 0.0
     #: the coordinate at the start where it counts turns
     start: float | None = None
 
@@ -247,6 +249,18 @@ def coordinates(joint: Joint) -> np.ndarray:
 
             return Rotation.from_matrix(turn).as_rotvec()
     return np.zeros(0)
+
+
+def rate(joint: Joint) -> float:
+    """The rate of the coordinate of a joint with one, at the start."""
+    move, turn = (m[:, 0] for m in directions(joint))
+    _, _, at, _ = joint.sides()
+    total = 0.0
+    for body, sign in ((joint.a, -1.0), (joint.b, 1.0)):
+        if body is not None:
+            velocity = body.velocity + np.cross(body.angular_velocity, at - body.centre)
+            total += sign * float(move @ velocity + turn @ body.angular_velocity)
+    return total
 
 
 def known_kind(kind: str, planar: bool) -> Kind:

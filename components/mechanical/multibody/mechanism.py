@@ -142,6 +142,7 @@ class Mechanism:
         damping: float = 0.0,
         stiffness: float = 0.0,
         neutral: float = 0.0,
+        armature: float = 0.0,
         motor: Literal["", "effort", "flow"] | bool = "",
         turns: bool = False,
     ) -> Joint:
@@ -155,6 +156,7 @@ class Mechanism:
                     the world; default z, in the plane x;  x_axis: the direction of a that angles count from
         length [m]: of a distance; default: as the bodies are now
         damping:    N.m.s/rad or N.s/m on the rate;  stiffness, neutral: of a spring on the coordinate, N.m/rad or N/m
+        armature:   inertia of a rotor [kg.m2], or mass [kg], that moves with the coordinate and with nothing else
         motor:      a port NAME: "effort" (or True): torque or force given, speed found; "flow": the reverse
         turns:      NAME.angle counts turns beyond pi, by a state
         """
@@ -166,15 +168,15 @@ class Mechanism:
                 raise ValueError(f"joint '{name}': its body is no body of {self.name}")
         if a is b:
             raise ValueError(f"joint '{name}' joins {'the ground' if a is None else repr(a.name)} with itself")
-        if (damping or stiffness or motor or turns) and len(found.coordinates) == 0:
+        if (damping or stiffness or motor or turns or armature) and len(found.coordinates) == 0:
             raise ValueError(f"joint '{name}': a {kind} joint has no coordinate for a damper, spring or motor")
-        if (stiffness or motor or turns) and len(found.coordinates) != 1:
+        if (stiffness or motor or turns or armature) and len(found.coordinates) != 1:
             raise ValueError(
                 f"joint '{name}': a {kind} joint has {len(found.coordinates)} coordinates; use joints with one each"
             )
         joint = Joint(
             kind, name, a, b, *self._placed(name, a, b, at, at_a, at_b, axis, axis_b, x_axis), self.planar,
-            0.0, damping, stiffness, neutral, "effort" if motor is True else motor or "", turns or bool(stiffness),
+            0.0, damping, stiffness, neutral, "effort" if motor is True else motor or "", turns or bool(stiffness), armature,
         )  # fmt: skip
         self._require_directions(joint)
         if kind == "distance":
