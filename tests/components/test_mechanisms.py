@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import casadi as ca
@@ -10,9 +11,22 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.special import ellipk
 
-from phfmu import Monolithic, NativeInstance, Options, build_model, default_scheme, run
+from phfmu import (
+    FMUInstance,
+    Monolithic,
+    NativeInstance,
+    Options,
+    PythonInstance,
+    build_model,
+    default_scheme,
+    export,
+    run,
+)
 from phfmu.components.mechanical.four_bar import four_bar
-from phfmu.components.mechanical.mechanisms import andrews, bricard, flyball, pendulum
+from phfmu.components.mechanical.heavy_top import heavy_top
+from phfmu.components.mechanical.mechanisms import andrews, bricard, flyball, pendulum, slider_crank
+from phfmu.components.mechanical.multibody import Mechanism
+from phfmu.components.mechanical.multibody.body import rotation_about
 from phfmu.studies.stress.mechanisms import bricard_reference
 from tests.wide import slow, wide
 
@@ -125,3 +139,40 @@ def test_flyball_governor_beside_three_coordinates(stop: float) -> None:
     total = found.ledger.summary()
     assert total.network.dissipated == pytest.approx(lost, rel=0.02)
     assert abs(total.network.unexplained) <= 1e-9
+
+
+def test_heavy_top_as_a_body_moves_like_its_directors() -> None:
+    mass, radius, spin, tilt = 15.0, 0.5, 40.0, 1.0
+    m = Mechanism("top")
+    rotation = rotation_about((0, 1, 0), tilt)
+    c, w = rotation[:, 2], spin * rotation[:, 2]
+    moments = mass * radius**2 * np.array((0.25, 0.25, 0.5))
+    top = m.body("top", mass, moments, position=c, rotation=rotation, velocity=np.cross(w, c), angular_velocity=w)
+    m.joint("spherical", "tip", None, top, at=(0.0, 0.0, 0.0))
+    found, other = (ran(d, 6, 1e-3, 200) for d in (m.build(), heavy_top(mass, radius, spin=spin, tilt=tilt)))
+    assert np.abs(at(found, "q", 3) - at(other, "q", 3)).max() <= 1e-12
+    assert np.ptp(found.column("energy.stored")) <= 1e-10
+    rows = range(0, 201, 20)
+    turn = [at(found, "top.rotation", 9, i).reshape(3, 3).T for i in rows]
+    spins = [
+        r @ np.diag(moments) @ r.T @ at(found, "top.angular_velocity", 3, i) for r, i in zip(turn, rows, strict=True)
+    ]
+    whole = [
+        s + np.cross(at(found, "top.position", 3, i), at(found, "top.momentum", 3, i))
+        for s, i in zip(spins, rows, strict=True)
+    ]
+    assert np.ptp([v[2] for v in whole]) <= 1e-10
+
+
+@pytest.mark.parametrize("version", [slow("2.0"), slow("3.0")])
+def test_a_unit_with_motors_is_both_engines(version: str, tmp_path: Path, compiler: None) -> None:
+    declaration = slider_crank().with_starts({"main.torque": 1.5, "bore.force": -2.0})
+    model = build_model(declaration, default_scheme(declaration, 2))
+    (path,) = export(model, tmp_path, (version,), step=0.005)
+    unit, native, python = FMUInstance(path), NativeInstance(model), PythonInstance(model)
+    for i in range(50):
+        for one in (unit, native, python):
+            one.do_step(0.005 * i, 0.005)
+        assert np.array_equal(unit.output(), native.output())
+        assert unit.ledger()["supplied"] == native.ledger()["supplied"] != 0.0
+        assert python.ledger()["supplied"] == pytest.approx(native.ledger()["supplied"], abs=1e-13)
