@@ -110,6 +110,8 @@ def compare(name, k, n):
         # a meter takes no current, zero but for rounding, and an exciter passes on the rounding of the voltage 200 times
         metered = name in ("island", "smib_exciter")
         size = traded if "energy" in columns or (metered and block == "energy") else 1e-9 if metered else 0.0
+        if block == "observables" and model.declaration.constraints:
+            size = 1e-4  # angles that stay zero, energies that cancel: zero but for rounding
         assert relative(first, second, columns, size) <= 1e-11, block
     for rows in (one, two):
         gap = np.abs(rows["stored"] + rows["dissipated"] - rows["supplied"])
