@@ -52,11 +52,11 @@ def wecc240(
     t_clear: float = 0.15,
     trip: str = "",
     stop: float = 0.5,
-    controls: bool = True,
+    controls: bool = False,
 ) -> Scene:
-    """243 buses of the reduced WECC system, 111 machines with their controllers, 91 plants as constant currents.
+    """243 buses of the reduced WECC system, 111 machines, 91 plants as constant currents; the arguments are those of `ieee39`.
 
-    The arguments are those of `ieee39`.
+    With controls=True the machines have their 232 controllers, whose state events take many minutes to plan.
 
     Source: ParaEMT_public of NREL, BSD 3-clause; phfmu/components/grids/data.
     """
