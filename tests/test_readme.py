@@ -159,8 +159,8 @@ def test_code_names_pages_that_exist() -> None:
             assert (ROOT / page.decode()).exists(), f"{name(source)} names {page.decode()}"
 
 
-@pytest.mark.parametrize("page", PAGES, ids=name)
+@pytest.mark.parametrize("page", [p for p in PAGES if p.name != "gallery.md"], ids=name)
 def test_pages_are_short(page: Path) -> None:
-    """Tables apart, which commands make."""
+    """Tables and the gallery apart, which commands make."""
     lines = page.read_text(encoding="utf-8").splitlines()
     assert len([line for line in lines if not line.startswith("|")]) < 300

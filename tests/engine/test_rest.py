@@ -93,7 +93,7 @@ def ill_chosen() -> Model:
     """Of Bricard's rows one rests whose share in the dependence passes through zero after 0.9 s."""
     found = at_rest.dependences
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(at_rest, "dependences", lambda j: [Dependence(d.rows, d.rows[1:2]) for d in found(j)])
+        patch.setattr(at_rest, "dependences", lambda *of: [Dependence(d.rows, d.rows[1:2]) for d in found(*of)])
         return model(bricard()[0], 2)
 
 
