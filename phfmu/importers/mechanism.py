@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -79,7 +80,7 @@ def read_mechanism(
     Errors:  ValueError with one list of all that cannot be kept;  ImportError without MuJoCo
     """
     try:
-        import mujoco
+        mujoco: Any = import_module("mujoco")
     except ImportError as error:
         raise ImportError('MJCF and URDF are read by MuJoCo: pip install "phfmu[mechanism]"') from error
     dropped = set(drop)
@@ -186,7 +187,7 @@ class _Reader:
         m, d = self.m, self.d
         group = [x for x in range(1, m.nbody) if m.body_weldid[x] == root]
         mass = float(sum(m.body_mass[x] for x in group))
-        centre = sum(m.body_mass[x] * d.xipos[x] for x in group) / mass if mass > 0 else d.xpos[root].copy()
+        centre = np.average(d.xipos[group], axis=0, weights=m.body_mass[group]) if mass > 0 else d.xpos[root].copy()
         tensor = np.zeros((3, 3))
         for x in group:
             r, off = d.ximat[x].reshape(3, 3), d.xipos[x] - centre

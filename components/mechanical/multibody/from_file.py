@@ -32,17 +32,32 @@ def mechanism_of_file(
     m = Mechanism(read.name, gravity=read.gravity, description=f"mechanism of {Path(path).name}")
     bodies = [
         m.body(
-            b.name.replace(" ", "_"), b.mass, b.rotation.T @ b.tensor @ b.rotation, com=b.rotation.T @ (b.centre - b.position),
-            position=b.position, rotation=b.rotation, velocity=b.velocity, angular_velocity=b.angular_velocity,
+            b.name.replace(" ", "_"),
+            b.mass,
+            b.rotation.T @ b.tensor @ b.rotation,
+            com=(b.rotation.T @ (b.centre - b.position)).tolist(),
+            position=b.position.tolist(),
+            rotation=b.rotation,
+            velocity=b.velocity.tolist(),
+            angular_velocity=b.angular_velocity.tolist(),
         )
         for b in read.bodies
-    ]  # fmt: skip
+    ]
     for j in read.joints:
         a, b = (bodies[i] if i >= 0 else None for i in (j.a, j.b))
         joint = m.joint(
-            j.kind, j.name.replace(" ", "_"), a, b, at=j.at, axis=j.axis, damping=j.damping, stiffness=j.stiffness,
-            neutral=j.neutral, armature=j.armature, motor="effort" if j.motor else "",
-        )  # fmt: skip
+            j.kind,
+            j.name.replace(" ", "_"),
+            a,
+            b,
+            at=j.at.tolist(),
+            axis=j.axis.tolist(),
+            damping=j.damping,
+            stiffness=j.stiffness,
+            neutral=j.neutral,
+            armature=j.armature,
+            motor="effort" if j.motor else "",
+        )
         joint.start = j.coordinate
         if j.kind == "revolute":
             joint.frame_b = joint.frame_b @ rotation_about((0, 0, 1), j.coordinate)
