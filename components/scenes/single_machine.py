@@ -39,6 +39,8 @@ def stall_start(*, coordinates: Coordinates = "dq-flux", stop: float = 3.0) -> S
 
     Member gen (krause_hydro325 with a hundredth of its inertia, its field winding closed without a voltage), line (X = 0.1 per
     unit), grid.  Rotor speed and momentum begin at exactly 0; its dampers give the torque.
+
+    Arguments: stop [s]
     """
     data = machine_set("krause_hydro325")
     data = machine_set(data, J=data.J / 100.0)
@@ -60,6 +62,8 @@ def lossless(*, coordinates: Coordinates = "dq-flux", stop: float = 1.0) -> Scen
     (0.3 per unit, without charge at first).  Magnetic, electric and kinetic energy go to and fro.  The fluxes of the rotor
     windings stay.  Since nothing prefers an angle, so does p + (q_a (psi_c - psi_b) + q_b (psi_a - psi_c) + q_c (psi_b -
     psi_a))/sqrt(3) with the charges q, to the order of the scheme.
+
+    Arguments: stop [s]
     """
     data = _without_loss("krause_hydro325")
     start = steady_state(data, P=0.0, Q=0.0)
