@@ -44,7 +44,7 @@ def test_rate_equals_that_of_a_small_step(compiler: None, name: str) -> None:
     d = declaration(name)
     if not d.states:
         pytest.skip("no states")
-    if name == "heavy_top":
+    if name in ("heavy_top", "bricard"):  # directors and midpoints without mass
         with pytest.raises(ValueError, match="zeros on its diagonal"):
             reduced(d)
         return
