@@ -81,7 +81,7 @@ def event_plan(terms: Terms, polynomial: Polynomial) -> EventPlan:
     events = model.state_events
     index = {n: i for i, n in enumerate(n for v in model.parameters for n in v.names())}
     _require_modes(model, index)
-    guards = {i: _guard(terms, e) for i, e in enumerate(events)}
+    guards = _guards(terms)
     groups = _groups(terms, guards)
     solves = any((g.yi < terms.na).any() for g in groups)
     rates = _rates(terms, guards)
@@ -141,14 +141,17 @@ def _require_modes(model: PHDAE, index: Mapping[str, int]) -> None:
             )
 
 
-def _guard(terms: Terms, e: StateEvent) -> tuple[str, ca.SX]:
-    """Label and expression of a guard at an instant."""
-    label = f"guard '{e.guard.name}'"
-    expr = at_instant(terms, ca.SX(_sx(e.guard.expr)), label)
-    if expr.numel() != 1:
-        reason = f"has {expr.numel()} entries"
-        raise DeclarationError(f"{terms.model.name}: {label}", reason, "give one expression a guard", "shape")
-    return label, expr
+def _guards(terms: Terms) -> dict[int, tuple[str, ca.SX]]:
+    """Label and expression at an instant of each guard, by the number of its event."""
+    events = terms.model.state_events
+    given = {f"guard '{e.guard.name}'": ca.SX(_sx(e.guard.expr)) for e in events}
+    if len(given) < len(events):  # a name twice, which `check` tells
+        given = {f"guard '{e.guard.name}' ({i + 1})": ca.SX(_sx(e.guard.expr)) for i, e in enumerate(events)}
+    for label, expr in given.items():
+        if expr.numel() != 1:
+            reason = f"has {expr.numel()} entries"
+            raise DeclarationError(f"{terms.model.name}: {label}", reason, "give one expression a guard", "shape")
+    return dict(enumerate(zip(given, at_instant(terms, given), strict=True))) if given else {}
 
 
 def _groups(terms: Terms, rows: Mapping[int, tuple[str, ca.SX]]) -> list[Group]:
@@ -178,16 +181,18 @@ def _rates(terms: Terms, guards: Mapping[int, tuple[str, ca.SX]]) -> dict[int, t
     unknown = set(terms.with_descriptor()) | {velocity[i] for t in terms.of(CONSTRAINT) for i in t.index[Value.STATE]}
     hidden = ca.vertcat(ca.SX(0, 1), *(z[i] for i in terms.solved_costates()))
     algebraic = ca.vertcat(ca.SX(0, 1), *(v.sx for v in model.algebraics))
-    found = {}
-    for i, (label, expr) in guards.items():
+    known: dict[int, ca.SX] = {}
+    for i, (_, expr) in guards.items():
         slope = ca.jacobian(expr, model.x)
         rate = ca.mtimes(slope, f) + ca.jacobian(expr, time)
-        if {int(c) for c in slope.sparsity().get_triplet()[1]} & unknown or ca.depends_on(rate, hidden):
-            continue
-        rate = at_instant(terms, ca.densify(rate), label)
-        if not rate.is_constant() and not ca.depends_on(ca.vertcat(expr, rate), algebraic):
-            found[i] = label, rate
-    return found
+        if not ({int(c) for c in slope.sparsity().get_triplet()[1]} & unknown or ca.depends_on(rate, hidden)):
+            known[i] = ca.densify(rate)
+    rates = at_instant(terms, {guards[i][0]: rate for i, rate in known.items()}) if known else []
+    return {
+        i: (guards[i][0], rate)
+        for i, rate in zip(known, rates, strict=True)
+        if not rate.is_constant() and not ca.depends_on(ca.vertcat(guards[i][1], rate), algebraic)
+    }
 
 
 def _spec(term: Term) -> Spec:
@@ -210,15 +215,16 @@ def _table(terms: Terms, spec: Spec, own: list[Term]) -> Group:
     return Group(build(spec), 1, 1, *arrays, power=np.zeros(1, np.int8), owner=np.zeros(len(own), np.int32))
 
 
-def at_instant(terms: Terms, expr: ca.SX, label: str) -> ca.SX:
-    """`expr` with costates as functions of the states, and inputs fed from inside as what feeds them."""
+def at_instant(terms: Terms, exprs: Mapping[str, ca.SX]) -> list[ca.SX]:
+    """Expressions by label, with costates as functions of the states, and inputs fed from inside as what feeds them."""
     model, z = terms.model, costate_symbols(terms.model)
-    for i in terms.solved_costates():
-        if ca.depends_on(expr, z[i]):
-            raise DeclarationError(
-                f"{model.name}: {label}", f"reads the costate of {terms.state_names[i]}, whose E is no constant diagonal",
-                "write it as a function of the states", "symbol",
-            )  # fmt: skip
+    solved = terms.solved_costates()
+    if solved and ca.depends_on(ca.vertcat(*map(ca.vec, exprs.values())), ca.vertcat(*(z[i] for i in solved))):
+        label, i = next((n, i) for n, e in exprs.items() for i in solved if ca.depends_on(e, z[i]))
+        raise DeclarationError(
+            f"{model.name}: {label}", f"reads the costate of {terms.state_names[i]}, whose E is no constant diagonal",
+            "write it as a function of the states", "symbol",
+        )  # fmt: skip
     fed = [p for p in terms.pairs if not p.port.external]
     inside = [ca.SX(p.port.bound[p.j] if p.port.bound is not None else ca.SX(_sx(p.port.source))[p.j]) for p in fed]
-    return ca.substitute([expr], [z, *(p.port.u[p.j] for p in fed)], [costates(terms), *inside])[0]
+    return ca.substitute(list(exprs.values()), [z, *(p.port.u[p.j] for p in fed)], [costates(terms), *inside])
