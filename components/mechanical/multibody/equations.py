@@ -82,7 +82,12 @@ class Equations:
                 observed.name, coordinate.unit, lambda d: self._value(of, sides, coordinate, d), observed.description
             )
         else:
-            point = self.point(of, of.principal(observed.place)[: self.dim])
+            place, text = (
+                of.principal(observed.place)[: self.dim],
+                f"{observed.name} on {of.name}, along its principal axes",
+            )
+            at = self.made.parameter(f"{observed.name}.at_body", place, self.dim, unit="m", description=text)
+            point = self.point(of, at.sx)
             self.made.observable(observed.name, "m", lambda d: d.at(point), observed.description)
 
     # -- bodies -----------------------------------------------------------------------------------------------------
@@ -137,7 +142,9 @@ class Equations:
         name, m = body.name, self.made
         centre, directors = self.particles[id(body)][0], self.particles[id(body)][1:]
         m.observable(f"{name}.position", "m", lambda d: d.at(centre), f"centre of mass of {name}")
-        m.observable(f"{name}.momentum", "kg.m/s", lambda d: body.mass * d.speed(centre), f"momentum of {name}")
+        m.observable(
+            f"{name}.momentum", "kg.m/s", lambda d: d.m.sx[centre.number] * d.speed(centre), f"momentum of {name}"
+        )
         m.observable(f"{name}.energy", "J", lambda d: self._energy(body, d), f"kinetic and potential energy of {name}")
         if not directors:
             return
