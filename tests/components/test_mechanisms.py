@@ -131,9 +131,9 @@ def governor(stop: float) -> np.ndarray:
     return s.y[[1, 5], -1]
 
 
-@pytest.mark.parametrize("stop", [slow(0.5), slow(10.0)])
-def test_flyball_governor_beside_three_coordinates(stop: float) -> None:
-    found = ran(flyball(), 2, 0.01, round(stop / 0.01))
+@pytest.mark.parametrize("stop, step", [slow((0.5, 0.01)), slow((10.0, 0.002))])
+def test_flyball_governor_beside_three_coordinates(stop: float, step: float) -> None:
+    found = ran(flyball(), 2, step, round(stop / step))
     height, lost = governor(stop)
     assert found.column("s")[-1] == pytest.approx(height, abs=1e-4)
     total = found.ledger.summary()
