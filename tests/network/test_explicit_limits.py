@@ -35,6 +35,7 @@ from phfmu import (
     state,
 )
 from phfmu.components.mechanical.translational import mass
+from phfmu.network.couplings.coupling import Solution
 from phfmu.network.couplings.newton import Newton
 from tests.wide import slow
 
@@ -180,8 +181,9 @@ class Lagged:
 
     order, repeats, closes = 1, False, False
 
-    def started(self, joined: Any, xi: Any, r: Any) -> Any:
-        return np.linalg.solve(joined.face.C.toarray(), -joined.face.P.T @ joined.end_outputs())
+    def solve(self, joined: Any, last: Solution, step: Any) -> Solution:
+        xi = np.linalg.solve(joined.face.C.toarray(), -joined.face.P.T @ joined.end_outputs())
+        return Solution(xi, joined.trial(xi, step.t, step.h))
 
 
 @pytest.mark.parametrize(
