@@ -7,7 +7,6 @@ in a new process.
 from __future__ import annotations
 
 import os
-import signal
 import sys
 import tempfile
 from collections import deque
@@ -20,7 +19,7 @@ from typing import Any
 from phfmu.fmu.export.variables import FMUError
 from phfmu.fmu.importer.archive import open_archive
 from phfmu.fmu.isolation.child import Child, Late, Lost
-from phfmu.fmu.isolation.unit_process import end_with_parent, read, write
+from phfmu.fmu.isolation.unit_process import connected, read, write
 from phfmu.fmu.words import plain
 from phfmu.vet.claims import CLAIMS
 from phfmu.vet.finding import FALSE, Claim, Finding, false, untested
@@ -135,16 +134,8 @@ class _Work:
 
 
 def serve() -> None:
-    """The other side: claims are tried as they are asked for.  What the library prints goes where errors go."""
-    asked, told = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
-    nothing = os.open(os.devnull, os.O_RDONLY)
-    os.dup2(nothing, 0)
-    os.dup2(2, 1)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # who started it ends it
-    from phfmu.fmu.isolation import exit_guard
-
-    exit_guard.leave_alone()
-    end_with_parent()
+    """The other side: claims are tried as they are asked for."""
+    asked, told = connected()
     subject = Subject(Path(read(asked)))
     write(told, "ready")
     claims = {claim.name: claim for claim in CLAIMS}

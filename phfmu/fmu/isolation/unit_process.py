@@ -123,18 +123,28 @@ def end_with_parent() -> None:
         ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
 
 
-def serve() -> None:
-    """Until the input ends.  The library finds no input, and prints where errors go."""
+def connected() -> tuple[IO[bytes], IO[bytes]]:
+    """The streams of questions and answers of this process, which serves and ends with the one that started it.
+
+    A library finds no input, and prints where errors go.
+    """
+    from phfmu.fmu.isolation import exit_guard
+
     asked, told = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
     nothing = os.open(os.devnull, os.O_RDONLY)
     os.dup2(nothing, 0)
     os.dup2(2, 1)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # who started it ends it
-    from phfmu.fmu.export.variables import FMUError
-    from phfmu.fmu.isolation import exit_guard
-
     exit_guard.leave_alone()
     end_with_parent()
+    return asked, told
+
+
+def serve() -> None:
+    """Until the input ends."""
+    asked, told = connected()
+    from phfmu.fmu.export.variables import FMUError
+
     write(told, (GIVEN, None))
     try:
         server = Server(*read(asked))
