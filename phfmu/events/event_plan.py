@@ -143,15 +143,12 @@ def _require_modes(model: PHDAE, index: Mapping[str, int]) -> None:
 
 def _guards(terms: Terms) -> dict[int, tuple[str, ca.SX]]:
     """Label and expression at an instant of each guard, by the number of its event."""
-    events = terms.model.state_events
-    given = {f"guard '{e.guard.name}'": ca.SX(_sx(e.guard.expr)) for e in events}
-    if len(given) < len(events):  # a name twice, which `check` tells
-        given = {f"guard '{e.guard.name}' ({i + 1})": ca.SX(_sx(e.guard.expr)) for i, e in enumerate(events)}
-    for label, expr in given.items():
+    given = [(f"guard '{e.guard.name}'", ca.SX(_sx(e.guard.expr))) for e in terms.model.state_events]
+    for label, expr in given:
         if expr.numel() != 1:
             reason = f"has {expr.numel()} entries"
             raise DeclarationError(f"{terms.model.name}: {label}", reason, "give one expression a guard", "shape")
-    return dict(enumerate(zip(given, at_instant(terms, given), strict=True))) if given else {}
+    return dict(enumerate(zip((label for label, _ in given), at_instant(terms, given), strict=True)))
 
 
 def _groups(terms: Terms, rows: Mapping[int, tuple[str, ca.SX]]) -> list[Group]:
@@ -187,7 +184,7 @@ def _rates(terms: Terms, guards: Mapping[int, tuple[str, ca.SX]]) -> dict[int, t
         rate = ca.mtimes(slope, f) + ca.jacobian(expr, time)
         if not ({int(c) for c in slope.sparsity().get_triplet()[1]} & unknown or ca.depends_on(rate, hidden)):
             known[i] = ca.densify(rate)
-    rates = at_instant(terms, {guards[i][0]: rate for i, rate in known.items()}) if known else []
+    rates = at_instant(terms, [(guards[i][0], rate) for i, rate in known.items()])
     return {
         i: (guards[i][0], rate)
         for i, rate in zip(known, rates, strict=True)
@@ -215,16 +212,19 @@ def _table(terms: Terms, spec: Spec, own: list[Term]) -> Group:
     return Group(build(spec), 1, 1, *arrays, power=np.zeros(1, np.int8), owner=np.zeros(len(own), np.int32))
 
 
-def at_instant(terms: Terms, exprs: Mapping[str, ca.SX]) -> list[ca.SX]:
-    """Expressions by label, with costates as functions of the states, and inputs fed from inside as what feeds them."""
+def at_instant(terms: Terms, labelled: Sequence[tuple[str, ca.SX]]) -> list[ca.SX]:
+    """Expressions with labels: costates become functions of the states, inputs fed from inside become what feeds them."""
+    if not labelled:
+        return []
+    exprs = [expr for _, expr in labelled]
     model, z = terms.model, costate_symbols(terms.model)
     solved = terms.solved_costates()
-    if solved and ca.depends_on(ca.vertcat(*map(ca.vec, exprs.values())), ca.vertcat(*(z[i] for i in solved))):
-        label, i = next((n, i) for n, e in exprs.items() for i in solved if ca.depends_on(e, z[i]))
+    if solved and ca.depends_on(ca.vertcat(*map(ca.vec, exprs)), ca.vertcat(*(z[i] for i in solved))):
+        label, i = next((n, i) for n, e in labelled for i in solved if ca.depends_on(e, z[i]))
         raise DeclarationError(
             f"{model.name}: {label}", f"reads the costate of {terms.state_names[i]}, whose E is no constant diagonal",
             "write it as a function of the states", "symbol",
         )  # fmt: skip
     fed = [p for p in terms.pairs if not p.port.external]
     inside = [ca.SX(p.port.bound[p.j] if p.port.bound is not None else ca.SX(_sx(p.port.source))[p.j]) for p in fed]
-    return ca.substitute(list(exprs.values()), [z, *(p.port.u[p.j] for p in fed)], [costates(terms), *inside])
+    return ca.substitute(exprs, [z, *(p.port.u[p.j] for p in fed)], [costates(terms), *inside])

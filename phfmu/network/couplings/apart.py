@@ -178,8 +178,8 @@ def reads_others(declaration: PHDAE) -> bool:
     """Whether guards read algebraic variables or inputs, which the polynomial of a member's states does not tell."""
     terms = extract(declaration)
     there = ca.vertcat(*(v.sx for v in declaration.algebraics), *(ca.vec(p.u) for p in declaration.ports if p.external))
-    guards = {e.guard.name: ca.SX(_sx(e.guard.expr)) for e in declaration.state_events}
-    return bool(guards) and any(ca.depends_on(g, there) for g in at_instant(terms, guards))
+    guards = [(e.guard.name, ca.SX(_sx(e.guard.expr))) for e in declaration.state_events]
+    return any(ca.depends_on(g, there) for g in at_instant(terms, guards))
 
 
 def held_wires(network: Network, held: Collection[str]) -> list[Wire]:
