@@ -146,9 +146,11 @@ class Outputs:
         """Finish the files; what they hold, in words."""
         said = []
         try:
-            if self.table is not None and self.table.rows:
+            if self.table is not None and self._table_path is not None and self.table.rows:
+                from phfmu.results.shapes_file import write_shapes
+
                 self.table.close()
-                self._tell_shapes()
+                write_shapes(self._table_path, self._shapes)
                 said.append(f"{self._shown['-o']}, {self.table.rows} rows to t = {self.table.last:.9g} s")
         finally:
             if self.sink is not None and self.sink.rows:
@@ -157,14 +159,6 @@ class Outputs:
             elif self.sink is not None:
                 self.sink.discard()
         return said + self._draw() + self._show()
-
-    def _tell_shapes(self) -> None:
-        """The shapes beside the table, where there are some or were."""
-        path = self._table_path
-        if path is not None and (self._shapes or path.with_suffix(".shapes.json").exists()):
-            from phfmu.results.shapes_file import write_shapes
-
-            write_shapes(path, self._shapes)
 
     def _show(self) -> list[str]:
         """The motion of the rows, if it was asked for and there are any."""

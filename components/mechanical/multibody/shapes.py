@@ -71,7 +71,7 @@ def _lines(parts: Parts, space: _Space) -> Iterator[Shape]:
 
 
 class _Space:
-    """Where the axes of a system point in the space of a picture: the plane of two dimensions stands upright."""
+    """The axes of a system in the space of a picture, where the plane of two dimensions stands upright."""
 
     def __init__(self, built: Built):
         self._built, self._dim, gravity = built, built.parts.dim, built.parts.gravity

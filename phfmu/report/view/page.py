@@ -57,7 +57,7 @@ def write_view(motion: Motion, path: str | os.PathLike[str]) -> None:
 
 
 def _data(motion: Motion) -> dict[str, object]:
-    """What the player reads as window.MOTION."""
+    """The data that the player reads as window.MOTION."""
 
     def described(shapes: Sequence[Shape]) -> list[dict[str, object]]:
         return [{"kind": s.kind.value, "label": s.label, "size": motion.size(s)} for s in shapes]
