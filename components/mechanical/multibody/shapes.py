@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from typing import Protocol
+from collections.abc import Iterator
+from functools import cached_property
+from typing import Any, Protocol
 
 import casadi as ca
 import numpy as np
@@ -12,7 +13,6 @@ from numpy.typing import NDArray
 from phfmu import Place, Shape, ShapeKind, Tension, Variable
 from phfmu.components.mechanical.multibody.parts import (
     Combined,
-    DrivenPoint,
     MovingSupport,
     Particle,
     Parts,
@@ -25,13 +25,10 @@ Floats = NDArray[np.float64]
 
 
 class Built(Protocol):
-    """A declaration in the making: its parts, the positions `q` of its particles, the position of any point."""
+    """A declaration in the making: its parts, and the positions `q` of its particles."""
 
     parts: Parts
     q: Variable
-
-    @property
-    def at(self) -> Callable[[Point], ca.SX]: ...
 
 
 def shapes(built: Built) -> tuple[Shape, ...]:
@@ -96,24 +93,44 @@ class _Space:
             return Place(_vector(self._map @ np.array(point.position)))
         if isinstance(point, Combined):
             return self._combined(point)
-        first, name = 0, "q"
-        if isinstance(point, Particle):
-            first = point.number * self._dim
-        elif isinstance(point, DrivenPoint):
-            name = f"{point.name}.q"
-        names = [f"{name}[{first + i + 1}]" for i in range(self._dim)]
+        names = (
+            self._entries(point)
+            if isinstance(point, Particle)
+            else [f"{point.name}.q[{i + 1}]" for i in range(self._dim)]
+        )
         return Place(terms=tuple((s, _vector(self._map[:, i])) for i, s in enumerate(names)))
+
+    def _entries(self, particle: Particle) -> list[str]:
+        """The names of its coordinates."""
+        return [f"q[{particle.number * self._dim + i + 1}]" for i in range(self._dim)]
 
     def _combined(self, point: Combined) -> Place:
         """The linear form of a point, with the parameters of its weights at their starts."""
-        expr, q, names = self._built.at(point), self._built.q.sx, self._built.q.names()
-        known = [p for p in self._built.parts.parameters if ca.depends_on(expr, p.sx)]
-        starts = [ca.DM(list(p.start)) for p in known]
-        read = ca.Function("place", [q, *(p.sx for p in known)], [expr, ca.jacobian(expr, q)])
-        offset, slope = (np.array(v) for v in read(ca.DM.zeros(q.numel()), *starts))
-        moved = np.flatnonzero(np.abs(slope).max(axis=0, initial=0.0))
-        terms = tuple((names[j], _vector(self._map @ slope[:, j])) for j in moved)
-        return Place(_vector(self._map @ offset.ravel()), terms)
+        slope: dict[str, Floats] = {}
+        for particle, weight in point.terms:
+            value = self._number(weight)
+            matrix = self._map @ (value * np.eye(self._dim) if value.size == 1 else value)
+            for name, direction in zip(self._entries(particle), matrix.T, strict=True):
+                slope[name] = slope.get(name, 0.0) + direction
+        terms = tuple((name, _vector(d)) for name, d in slope.items() if np.any(d))
+        offset = np.zeros(3) if point.fixed is None else self._map @ self._number(point.fixed).ravel()
+        return Place(_vector(offset), terms)
+
+    def _number(self, expr: Any) -> Floats:
+        """The value of an expression of parameters, with these at their starts."""
+        known = ca.SX(expr)
+        symbols = ca.symvar(known)
+        values = [self._parameters[s.element_hash()] for s in symbols]
+        return np.array(ca.evalf(ca.substitute(known, ca.vertcat(*symbols), ca.vertcat(*values)) if symbols else known))
+
+    @cached_property
+    def _parameters(self) -> dict[int, float]:
+        """The start of each scalar parameter, by its symbol."""
+        return {
+            s.element_hash(): start
+            for p in self._built.parts.parameters
+            for s, start in zip(ca.vertsplit(p.sx), p.start, strict=True)
+        }
 
 
 def _turned(up: Floats) -> Floats:
