@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +21,14 @@ if TYPE_CHECKING:
 ENGINES = ("auto", "python", "native", "fmu")
 #: how the native engine runs kernels
 KERNELS = ("auto", "compiled", "interpreted")
+
+
+def add_engine(parser: argparse.ArgumentParser, engines: Sequence[str]) -> None:
+    """--engine, one of `engines`."""
+    parser.add_argument("--engine", default="auto", choices=engines,
+                        help="native: compiled, whose kernels need no compiler; python: the readable reference, which lands on "
+                        "no state events or switches; auto (default): native if the runtime is there or can be compiled, else "
+                        "python")  # fmt: skip
 
 
 def add_stepping(parser: argparse.ArgumentParser) -> None:

@@ -39,10 +39,7 @@ def add_parser(verbs: Any) -> None:
     parser.add_argument("--stop", type=float, help="stop time in s (default: the scene's)")
     parser.add_argument("--step", type=float, help="communication step in s (default: the scene's; none with --rtol)")
     options.add_scheme(parser)
-    parser.add_argument("--engine", default="auto", choices=stepping.ENGINES,
-                        help="native: compiled, whose kernels need no compiler; python: the readable reference, which lands on "
-                        "no state events or switches; auto (default): native if the runtime is there or can be compiled, else "
-                        "python")  # fmt: skip
+    stepping.add_engine(parser, stepping.ENGINES)
     stepping.add_stepping(parser)
     parser.add_argument("--fmi", choices=tuple(VERSIONS), help=f"FMI version of --engine fmu (default {LATEST})")
     lines = [f"{row.name}: {row.about}" for row in COUPLINGS.values()]

@@ -21,7 +21,7 @@ FAILURES = 5
 
 
 def add_parser(verbs: Any) -> None:
-    from phfmu.cli import options
+    from phfmu.cli import options, stepping
     from phfmu.cli.codes import TARGET
     from phfmu.cli.settings import add_settings
     from phfmu.cli.sound import add_no_check
@@ -49,10 +49,7 @@ def add_parser(verbs: Any) -> None:
                         help="threads (default: one per core); the results do not depend on their number")  # fmt: skip
     parser.add_argument("--stop", type=float, help="stop time in s (default: the scene's)")
     parser.add_argument("--step", type=float, help="step in s (default: the scene's)")
-    parser.add_argument("--engine", default="auto", choices=("auto", "python", "native"),
-                        help="native: compiled, whose kernels need no compiler; python: the readable reference, which lands on "
-                        "no state events or switches; auto (default): native if the runtime is there or can be compiled, else "
-                        "python")  # fmt: skip
+    stepping.add_engine(parser, ("auto", "python", "native"))
     options.add_scheme(parser)
     options.add_steps(parser)
     add_settings(parser)
