@@ -20,9 +20,6 @@ from phfmu.components.mechanical.multibody.equations import Equations, Mechanism
 from phfmu.components.mechanical.multibody.joint import Joint, finite, known_kind
 from phfmu.components.mechanical.multibody.mobility import Mobility, mobility
 
-#: the ground, as a body of joints and springs
-GROUND = None
-
 
 class Mechanism:
     """Bodies and joints; `assemble` places them, `build` gives the declaration.
@@ -198,7 +195,7 @@ class Mechanism:
     ) -> None:
         """A spring 1/2 k (|b - a| - length)^2 and a damper along it between points (body, place in its frame [m]).
 
-        stiffness [N/m], length [m], damping [N.s/m]; `GROUND` as a body: a fixed point
+        stiffness [N/m], length [m], damping [N.s/m]; None as a body: a fixed point
         """
         ends = [(body, self._point(f"spring '{name}'", place)) for body, place in (a, b)]
         self.parts.springs.append(Spring(name, ends[0], ends[1], float(stiffness), float(length), float(damping)))
