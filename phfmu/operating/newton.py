@@ -5,9 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import NDArray
-from scipy.sparse.linalg import splu
 
 from phfmu.operating.system import NoOperatingPoint, Sparse, System, Triplets
 from phfmu.words import first_few
@@ -55,9 +53,8 @@ def _newton(
             pinned = _pinned(system, J, group)
         if motion is not None:
             F, J = F + motion[0] @ (v - motion[1]), J + motion[0]
-        row, column = equilibrated(J)
         try:
-            update = column * splu((sp.diags(row) @ (J + pinned) @ sp.diags(column)).tocsc()).solve(row * F)
+            update = solution(J + pinned, F, J)
         except RuntimeError as failure:
             raise _failed(system, "its equations are singular", v, F, J) from failure
         v = v - update
@@ -102,9 +99,8 @@ def _turned(system: System, v: Array) -> Array:
         return v
     F, _ = system.evaluate(v)
     A = (J + _pinned(system, J, np.unique(system.named, return_inverse=True)[1])).tocsr()[rows][:, columns]
-    row, column = equilibrated(A)
     try:
-        update = column * splu((sp.diags(row) @ A @ sp.diags(column)).tocsc()).solve(row * F[rows])
+        update = solution(A, F[rows])
     except RuntimeError:
         return v
     moved, out = v.copy(), v.copy()
@@ -132,6 +128,8 @@ def _pinned(system: System, J: Sparse, group: Any) -> Sparse:
     """
     magnitude, entries = np.zeros(group.max() + 1), J.tocoo()
     np.maximum.at(magnitude, group[entries.col], np.abs(entries.data))
+    import scipy.sparse as sp
+
     column = 1.0 / np.maximum(magnitude[group], 1e-300)
     N = (J @ sp.diags(column)).tocsr()
     largest = _largest(N, 1)
@@ -163,8 +161,19 @@ def _failed(system: System, what: str, v: Array, F: Array, J: Sparse) -> NoOpera
     )
 
 
-def equilibrated(J: Sparse) -> tuple[Array, Array]:
+def solution(A: Sparse, b: Array, scaled: Sparse | None = None) -> Array:
+    """x of A x = b, with the scales of `scaled` (A); RuntimeError: A is singular."""
+    import scipy.sparse as sp
+    from scipy.sparse.linalg import splu
+
+    row, column = _equilibrated(A if scaled is None else scaled)
+    return column * splu((sp.diags(row) @ A @ sp.diags(column)).tocsc()).solve(row * b)
+
+
+def _equilibrated(J: Sparse) -> tuple[Array, Array]:
     """Scales of rows and columns, by two rounds of Ruiz."""
+    import scipy.sparse as sp
+
     column = _largest(J, 0)
     column = 1.0 / np.where(column == 0, 1.0, column)
     row = _largest(J @ sp.diags(column), 1)

@@ -20,7 +20,6 @@ from typing import Any
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import expm
 
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import ELECTRICAL, Port
@@ -182,6 +181,8 @@ class Equations:
 
     def turned(self, x: Any, angle: float) -> Array:
         """The states after a rotation of the phases by `angle` [rad]."""
+        from scipy.linalg import expm
+
         n = self.size.x
         whole = np.zeros((n + 1, n + 1))
         whole[:n, :n], whole[:n, n] = self.S, self.c

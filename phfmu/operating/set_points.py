@@ -12,12 +12,10 @@ from dataclasses import replace
 
 import casadi as ca
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import NDArray
-from scipy.sparse.linalg import splu
 
 from phfmu.network.network import Network
-from phfmu.operating.newton import ITERATIONS, REST, equilibrated, solved
+from phfmu.operating.newton import ITERATIONS, REST, solution, solved
 from phfmu.operating.specifications import Specification
 from phfmu.operating.system import NoOperatingPoint, System
 from phfmu.signals import of_member
@@ -125,10 +123,8 @@ def _controlled(system: System, v: Array, controllers: set[str], given: dict[str
             rows.append(row)
     for iteration in range(1, ITERATIONS + 1):
         F, J = system.evaluate(v)
-        block = J[rows][:, columns]
-        row, column = equilibrated(block)
         try:
-            update = column * splu((sp.diags(row) @ block @ sp.diags(column)).tocsc()).solve(row * F[rows])
+            update = solution(J[rows][:, columns], F[rows])
         except RuntimeError:
             break
         v = v.copy()

@@ -17,7 +17,6 @@ from math import pi
 from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from phfmu.declare.phdae import PHDAE
@@ -335,8 +334,10 @@ class System:
             more = "too few values are freed" if self.rows > len(self.start) else "too many values are freed"
             raise NoOperatingPoint(f"{self.net.name}: {self.rows} equations for {len(self.start)} unknowns: {more}")
 
-    def evaluate(self, v: Array) -> tuple[Array, sp.csr_matrix]:
+    def evaluate(self, v: Array) -> tuple[Array, Sparse]:
         """F and its Jacobian."""
+        import scipy.sparse as sp
+
         z = self.P @ v + self.constant
         out, rows, columns, values = np.zeros(self._outputs), [], [], []
         for kind in self.kinds.values():
@@ -398,6 +399,8 @@ class Triplets:
             self.put(row + int(i), column + int(j), values[i, j])
 
     def matrix(self, shape: tuple[int, int]) -> Sparse:
+        import scipy.sparse as sp
+
         return sp.csr_matrix((self.values, (self.rows, self.columns)), shape=shape)
 
 

@@ -8,7 +8,6 @@ from pathlib import Path
 from phfmu.components.mechanical.multibody.assembly import project
 from phfmu.components.mechanical.multibody.body import rotation_about
 from phfmu.components.mechanical.multibody.mechanism import Mechanism
-from phfmu.importers.mechanism import read_mechanism
 
 
 def mechanism_of_file(
@@ -28,6 +27,8 @@ def mechanism_of_file(
     Errors:  ValueError lists all that cannot be kept: tendons, limits, contacts, dry friction, other actuators ..
     Needs:   the extra `mechanism` (MuJoCo)
     """
+    from phfmu.importers.mechanism import read_mechanism
+
     read = read_mechanism(path, drop=drop, qpos=qpos, qvel=qvel)
     m = Mechanism(read.name, gravity=read.gravity, description=f"mechanism of {Path(path).name}")
     bodies = [

@@ -6,7 +6,6 @@ Compiler: `zig cc` of the wheel ziglang if it is installed (any target), else th
 from __future__ import annotations
 
 import functools
-import importlib.metadata
 import importlib.util
 import os
 import platform
@@ -93,13 +92,14 @@ def _zig(target: str, flags: Sequence[str]) -> Toolchain | None:
     spec = importlib.util.find_spec("ziglang")
     if spec is None or spec.origin is None:
         return None
+    from importlib.metadata import version
+
     options = ("-target", target, "-fno-sanitize=undefined", *flags)
-    version = f"zig {importlib.metadata.version('ziglang')}"
     bare = BARE if target.startswith(BARE_TARGETS) else ()
     # `python -m ziglang` starts this program, and an interpreter of its own for it every time
     zig = shutil.which("zig", path=Path(spec.origin).parent)
     program = (zig,) if zig else (sys.executable, "-m", "ziglang")
-    return Toolchain((*program, "cc"), version, (*FLAGS, *options), (*LINK, *bare))
+    return Toolchain((*program, "cc"), f"zig {version('ziglang')}", (*FLAGS, *options), (*LINK, *bare))
 
 
 def _system(target: str, flags: Sequence[str]) -> Toolchain | None:

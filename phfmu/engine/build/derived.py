@@ -7,8 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.sparse import csc_matrix, diags
-from scipy.sparse.linalg import splu
 
 from phfmu.events.event_plan import EventPlan
 from phfmu.events.roots import fit
@@ -44,6 +42,9 @@ def _trial(row: Ints, colptr: Ints, order: Ints, pivot_row: Ints) -> tuple[int, 
     n = len(order)
     if n <= 64:
         return n * n, n * n, 0
+    from scipy.sparse import csc_matrix, diags
+    from scipy.sparse.linalg import splu
+
     values = np.random.default_rng(0).uniform(0.5, 1.5, len(row))
     a = csc_matrix((values, row, colptr), shape=(n, n))[:, order]
     if np.array_equal(np.sort(pivot_row), np.arange(n)):  # planned pivots on the diagonal
