@@ -267,6 +267,8 @@ def test_unit_is_a_member_of_another_network(tmp_path: Path, version: str, compi
     ("line", "said"),
     [
         ("breaker_opening --as-unit", "have state events, which the coupling inside a unit does not land on"),
+        ("smib --as-unit --coupling jacobi", "--coupling jacobi is not inside units"),
+        ("smib --coupling newton", "say --as-unit too"),
         ("smib --as-unit --node-inputs", "--as-unit and --node-inputs do not go together"),
         ("smib --as-unit --tunable gen.Raa", "has no parameter 'gen.Raa' to be tunable; did you mean gen.Ra"),
         ("dc_motor --as-unit", "has no members to keep apart"),

@@ -24,6 +24,7 @@ def add_parser(verbs: Any) -> None:
     from phfmu.cli.settings import add_settings
     from phfmu.cli.sound import add_no_check
     from phfmu.fmu.version import VERSIONS
+    from phfmu.network.couplings.coupling_table import COUPLINGS, NEWTON
     from phfmu.ssp.names import VERSIONS as SSP_VERSIONS
 
     parser = verbs.add_parser(
@@ -56,8 +57,10 @@ def add_parser(verbs: Any) -> None:
     parser.add_argument("--events", default="outside", choices=("outside", "inside"),
                         help="outside: the importer sets what the scene's events change; inside: the unit does")  # fmt: skip
     parser.add_argument("--as-unit", action="store_true",
-                        help="members of a network stay apart in the unit, joined by the Newton coupling inside, each with its "
+                        help="members of a network stay apart in the unit, joined by a coupling inside, each with its "
                              "scheme (without it they are composed to one model)")  # fmt: skip
+    parser.add_argument("--coupling", choices=[n for n, c in COUPLINGS.items() if c.apart],
+                        help=f"the coupling inside the unit, with --as-unit: {NEWTON.name}, which is the default")  # fmt: skip
     parser.add_argument("--ssp", nargs="?", const=SSP_VERSIONS[0], choices=SSP_VERSIONS, metavar="VERSION",
                         help="a package of SSP (1.0 or 2.0; default 1.0): members as units, parameters, connections")  # fmt: skip
     options.add_grid(parser)
@@ -80,6 +83,7 @@ def call(args: argparse.Namespace) -> int:
     from phfmu.fmu.version import VERSIONS
     from phfmu.network.signal_ports import exchanging
 
+    _require_coupling(args)
     s = scene_of(args)
     if args.ssp:
         _require_places(args, s)
@@ -155,6 +159,18 @@ def export_apart(args: argparse.Namespace, s: Scene) -> int:
         tunable=[*args.tunable, *changed], events=inside,
     )  # fmt: skip
     return _said(notes, left_out, paths)
+
+
+def _require_coupling(args: argparse.Namespace) -> None:
+    """ValueError for a coupling that no unit has inside."""
+    from phfmu.network.couplings.coupling_table import NEWTON
+
+    if args.coupling and not args.as_unit:
+        raise ValueError(f"--coupling {args.coupling} joins members that stay apart in the unit; say --as-unit too")
+    if args.coupling not in (None, NEWTON.name):
+        raise ValueError(
+            f"--coupling {args.coupling} is not inside units, whose members take steps back; leave it out ({NEWTON.name})"
+        )
 
 
 def _said(notes: Sequence[str], left_out: Sequence[str], paths: Sequence[Path]) -> int:
