@@ -128,6 +128,11 @@ class LedgerSummary:
         return max([*missed, *(v.ratio for v in self.violations if v.kind in COMPONENT)], default=0.0)
 
     @property
+    def most(self) -> float:
+        """`share`, or what a junction misses of what is allowed: above 1 where the run is not closed."""
+        return max([self.share, *(v.ratio for v in self.violations)])
+
+    @property
     def worst(self) -> Violation | None:
         """The violation that is largest against what is allowed."""
         return max(self.violations, key=lambda v: v.ratio, default=None)

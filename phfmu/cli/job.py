@@ -26,7 +26,7 @@ from phfmu.cli.stepping import (
     threads_asked,
 )
 from phfmu.network.couplings.coupling_table import AUTO, COUPLINGS, MONOLITHIC, NEWTON, CouplingRow
-from phfmu.target import is_fmu, scene
+from phfmu.target import is_fmu
 
 if TYPE_CHECKING:
     from phfmu.declare.phdae import PHDAE
@@ -388,7 +388,7 @@ def job_of(args: argparse.Namespace) -> Job:
         _require_whole(args)
         return unit(args)
     s = scene_of(args)
-    s = replace(s, system=with_settings(s.system, settings(args.set)))
+    s = with_given(args, s)
     s = replace(s, system=_with_unit_options(args, s.system))
     require_sound_scene(args, s)
     tried = _tried(args, s)
@@ -421,17 +421,8 @@ def _require_whole(args: argparse.Namespace) -> None:
         )
 
 
-def composed(args: argparse.Namespace) -> Scene:
-    """The scene of a verb that takes one composed model, with its settings; ValueError if there are units in it."""
-    if is_fmu(args.target):
-        raise ValueError(
-            f"{args.target} is a unit; phfmu {args.verb} takes what is declared: a name of the library or file.py:function"
-        )
-    s = scene(args.target)
-    if s.units:
-        raise ValueError(
-            f"{args.target} has units in it ({', '.join(s.units)}); phfmu {args.verb} takes what is declared"
-        )
+def with_given(args: argparse.Namespace, s: Scene) -> Scene:
+    """The scene with the values of --set."""
     return replace(s, system=with_settings(s.system, settings(args.set)))
 
 

@@ -46,6 +46,34 @@ def add_stepping(parser: argparse.ArgumentParser) -> None:
                              "as pay)")  # fmt: skip
 
 
+def add_coupling(parser: argparse.ArgumentParser) -> None:
+    """--coupling, --sequence, --unconverged, --signals-held."""
+    from phfmu.network.couplings.coupling_table import AUTO, COUPLINGS
+
+    lines = [f"{row.name}: {row.about}" for row in COUPLINGS.values()]
+    parser.add_argument("--coupling", choices=tuple(COUPLINGS), help="; ".join(lines) + f" (default: {AUTO.name})")
+    in_turn = ", ".join(row.name for row in COUPLINGS.values() if row.in_turn)
+    parser.add_argument(
+        "--sequence", metavar="A,B,..", help=f"the order in which --coupling {in_turn} steps the members"
+    )
+    parser.add_argument("--unconverged", default="raise", choices=("raise", "halve", "accept"),
+                        help="what to do with a step whose coupling does not converge: refuse it (default), take it in "
+                        "halves, or keep the best trial, with what its junctions make of energy booked")  # fmt: skip
+    parser.add_argument("--signals-held", action="store_true",
+                        help="hold signals between members over a step as they are at its start (order 1), not on the line "
+                        "through two samples (order 2); --coupling newton iterates those of units that go back")  # fmt: skip
+
+
+def add_units(parser: argparse.ArgumentParser) -> None:
+    """--isolate, --isolate-timeout, --unit-tolerance."""
+    parser.add_argument("--isolate", action="store_true",
+                        help="FMUs in processes of their own: where one ends or hangs, the run has exit code 3")  # fmt: skip
+    parser.add_argument("--isolate-timeout", type=float, metavar="SECONDS",
+                        help="the same, and how long a call into an FMU may take (default 60)")  # fmt: skip
+    parser.add_argument("--unit-tolerance", type=float, metavar="TOL",
+                        help="relative tolerance that FMUs are told of for steps inside them (default: their own)")  # fmt: skip
+
+
 @dataclass(frozen=True)
 class Stepping:
     """engines, parts: by member, where they differ from `engine` and 1."""

@@ -31,7 +31,7 @@ from phfmu.runs.march import pieces
 from phfmu.runs.stretches import stretches
 from phfmu.sweeps.outcome import Outcome, Stopped
 from phfmu.sweeps.places import INPUT, PARAMETER, Places
-from phfmu.sweeps.task import Task
+from phfmu.sweeps.task import ModelTask
 from phfmu.sweeps.words import KINDS
 
 RUNTIME = Path(__file__).parent / "runtime"
@@ -44,7 +44,7 @@ STOPPED = -2
 ENERGIES = ("constant", "was", "now", "carry", "varying")
 
 
-def fits(task: Task) -> bool:
+def fits(task: ModelTask) -> bool:
     """Whether the compiled loop takes these runs: equal steps without damping, a projected start or state events, and without
     events that change what of H is constant."""
     o = task.options
@@ -53,7 +53,7 @@ def fits(task: Task) -> bool:
     return not o.events or _constants_kept(task)
 
 
-def _constants_kept(task: Task) -> bool:
+def _constants_kept(task: ModelTask) -> bool:
     """Whether no event sets a parameter that the constant part of H depends on."""
     own, places = Constants(task.model).parameters, Places(task.model)
     return not own or not any(p.index in own for e in task.options.events for p in places.of(e.name, (PARAMETER,)))
@@ -72,7 +72,7 @@ def _library() -> ctypes.CDLL:
 class NativeRuns:
     """One instance that takes one run after the other; another thread needs another one."""
 
-    def __init__(self, task: Task):
+    def __init__(self, task: ModelTask):
         self._model, self._width, self._count = task.model, len(task.names), len(task.measures)
         self._steps = (task.options.stop - task.options.t0) / task.options.step
         self._instance = NativeInstance(task.model)
@@ -129,7 +129,7 @@ class NativeRuns:
             return str(error)
         raise AssertionError(code)
 
-    def _values(self, task: Task) -> dict[str, Any]:
+    def _values(self, task: ModelTask) -> dict[str, Any]:
         model, plan, layout, o = task.model, task.model.step, self._instance.layout, task.options
         memory, columns = self._memory, Columns(model, layout)
         measured = [(m.kind, *columns.place(m.signal)) for m in task.measures]
@@ -168,7 +168,7 @@ class NativeRuns:
         }  # fmt: skip
 
 
-def _schedule(task: Task, places: Places) -> dict[str, list[dict[str, Any]]]:
+def _schedule(task: ModelTask, places: Places) -> dict[str, list[dict[str, Any]]]:
     """Stretches of equal steps, and what the events at their starts set, as the run loop has them."""
     o, ports = task.options, task.model.declaration.ports
     free = with_bare([n for p in ports if p.external for n in p.input_names()])

@@ -7,16 +7,25 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias, Union
 
-from phfmu.sweeps.task import Task
+from phfmu.sweeps.task import ModelTask, Task
 
 if TYPE_CHECKING:
     from phfmu.declare.phdae import PHDAE
+    from phfmu.discretise.model import Model
     from phfmu.network.scene import Scene
     from phfmu.runs.options import Options
     from phfmu.schemes.scheme import Scheme
     from phfmu.sweeps.crew import Runs
+    from phfmu.sweeps.general_runs import Make
 
 Target: TypeAlias = Union["Scene", "PHDAE"]
+
+
+def words_of(model: Model) -> tuple[str, ...]:
+    """A model by its scheme, its numbers and its equations."""
+    equations = sorted({g.kernel.function.serialize() for plan in (model.step, model.instant) for g in plan.groups})
+    numbers = [v.tolist() for v in (model.p0, model.x0, model.u0, model.a0)]
+    return model.name, str(model.scheme), str(numbers), *equations
 
 
 @dataclass(frozen=True)
@@ -31,7 +40,7 @@ class Recipe:
     engine: str
     keep: Path | None = None
 
-    def task(self) -> Task:
+    def task(self) -> ModelTask:
         """Declared, discretised and checked; KeyError, ValueError, DeclarationError."""
         from phfmu.declare.phdae import require_declaration
         from phfmu.discretise.model import build_model
@@ -60,11 +69,12 @@ class Recipe:
             for q in quantities(model)
             if q.block not in ("parameter", "tunable", "input") and not q.block.startswith("row_")
         ]
-        return Task(model, self.names, measures(self.measures, known), options)
+        words = self.engine, str(options), *words_of(model)
+        return ModelTask(self.names, measures(self.measures, known), words, model, options)
 
-    def runs(self, task: Task | None = None) -> Runs:
+    def runs(self, task: ModelTask | None = None) -> Runs:
         """A runner, which takes runs one after the other; another thread needs another one."""
-        from phfmu.sweeps.general_runs import GeneralRuns
+        from phfmu.sweeps.general_runs import GeneralRuns, of_model
         from phfmu.sweeps.native_runs import NativeRuns, fits
 
         task = task or self.task()
@@ -76,4 +86,42 @@ class Recipe:
 
         if self.engine != "native":
             require_no_landing(task.model)
-        return GeneralRuns(task, NativeInstance if self.engine == "native" else PythonInstance, self.keep)
+        engine = NativeInstance if self.engine == "native" else PythonInstance
+        return GeneralRuns(task, of_model(task, engine), self.keep)
+
+
+@dataclass(frozen=True)
+class Steppers:
+    """What is stepped otherwise than as one composed model: members apart, units.
+
+    make:  values -> the stepper of a run that begins with them, and its options; each thread calls it for each of its runs
+    words: all that outcomes depend on besides the values, by which a sweep that is gone on with is known
+    """
+
+    make: Make
+    words: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class StepperRecipe:
+    """As `Recipe`, for steppers."""
+
+    target: Steppers
+    names: tuple[str, ...]
+    measures: tuple[str, ...]
+    keep: Path | None = None
+
+    def task(self) -> Task:
+        """The measures of the signals of a run with the declared values."""
+        from phfmu.runs.rows import RunColumns
+        from phfmu.sweeps.measures import measures
+
+        stepper, options = self.target.make({})
+        known = RunColumns(stepper, (), options.step).names
+        return Task(self.names, measures(self.measures, known), self.target.words)
+
+    def runs(self, task: Task | None = None) -> Runs:
+        """A runner, which takes runs one after the other; another thread needs another one."""
+        from phfmu.sweeps.general_runs import GeneralRuns
+
+        return GeneralRuns(task or self.task(), self.target.make, self.keep)

@@ -1,4 +1,4 @@
-"""Many runs of one composed model, in threads or on a cluster, and the table of what came out."""
+"""Many runs of one composed model, of members apart or of units, in threads or on a cluster, and the table of what came out."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from phfmu.processors import processors
 from phfmu.sweeps.design import Design
 from phfmu.sweeps.outcome import Outcome
 from phfmu.sweeps.parts import Parts, digest
-from phfmu.sweeps.recipe import Recipe, Target
+from phfmu.sweeps.recipe import Recipe, StepperRecipe, Steppers, Target
 from phfmu.sweeps.task import Task
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ BLOCK, TURNS = 512, 8
 
 
 def sweep(
-    target: Target | Callable[[], Target],
+    target: Target | Steppers | Callable[[], Target],
     design: Design,
     measures: Sequence[str],
     *,
@@ -49,6 +49,9 @@ def sweep(
 ) -> pa.Table:
     """Runs of a scene or component, one for each row of the design, told by measures such as `max(gen.w)`.
 
+    Of `Steppers`, of members apart or units, each run has a stepper of its own and is taken by the run loop; `options`, `scheme`
+    and `engine` are those of the steppers then.
+
     One declaration, one compilation; the runs are shared by `jobs` threads (default: one per core), whose number does not
     change a bit of the results.  options: default the scene's (`Options(stop=.., step=..)` for a component);  engine: "native" or
     "python";  file: of the table, .parquet or .csv, with FILE.parts beside it until all is done, from which `resume` goes on;
@@ -59,7 +62,11 @@ def sweep(
     misses in its worst step: above 1 it is violated), `error` (why a run failed: its measures are null; "" if it did not).
     Errors: KeyError for names that cannot be set, ValueError for measures and options, DeclarationError, CompilerMissing, OSError
     """
-    recipe = Recipe(target, design.names, tuple(measures), options, scheme, engine, keep)
+    told = tuple(measures)
+    if isinstance(target, Steppers):
+        recipe = StepperRecipe(target, design.names, told, keep)
+    else:
+        recipe = Recipe(target, design.names, told, options, scheme, engine, keep)
     task = recipe.task()
     if keep is not None:
         keep.mkdir(parents=True, exist_ok=True)
@@ -94,25 +101,22 @@ def _write(table: pa.Table, file: Path, parts: Parts) -> None:
     parts.remove()
 
 
-def _crew(recipe: Recipe, task: Task, jobs: int | None, scheduler: Scheduler | None) -> AbstractContextManager[Crew]:
+def _crew(recipe: Any, task: Task, jobs: int | None, scheduler: Scheduler | None) -> AbstractContextManager[Crew]:
     from phfmu.sweeps.crew import Threads, cluster
 
     if scheduler is None:
         return nullcontext(Threads(lambda: recipe.runs(task), jobs or processors()))
     if jobs is not None:
         raise ValueError(f"--jobs {jobs} counts threads here; a scheduler has its own workers, leave one of them out")
-    if not callable(recipe.target):
+    if isinstance(recipe, Recipe) and not callable(recipe.target):
         raise ValueError("a scheduler needs a function that gives the scene or component: its workers call it")
     return cluster(recipe.runs, scheduler)
 
 
-def _key(task: Task, recipe: Recipe, design: Design) -> str:
-    """A digest of all that outcomes depend on, of the model its equations and its numbers."""
-    m = task.model
-    equations = " ".join(sorted({g.kernel.function.serialize() for plan in (m.step, m.instant) for g in plan.groups}))
-    numbers = [v.tolist() for v in (m.p0, m.x0, m.u0, m.a0)]
-    told = [recipe.engine, *([] if recipe.keep is None else [recipe.keep.absolute()])]
-    words = (__version__, m.name, m.scheme, *told, list(map(str, task.measures)), task.options, numbers, equations)
+def _key(task: Task, recipe: Recipe | StepperRecipe, design: Design) -> str:
+    """A digest of all that outcomes depend on."""
+    told = [] if recipe.keep is None else [recipe.keep.absolute()]
+    words = (__version__, *told, list(map(str, task.measures)), *task.words)
     return digest("\n".join(map(str, words)), design)
 
 

@@ -12,9 +12,16 @@ from phfmu.sweeps.measures import Measure
 
 @dataclass(frozen=True)
 class Task:
-    """Runs of `model` that differ in the values of `names` and are told by `measures`."""
+    """Runs that differ in the values of `names` and are told by `measures`; `words`: all that outcomes depend on besides."""
 
-    model: Model
     names: tuple[str, ...]
     measures: Sequence[Measure]
+    words: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class ModelTask(Task):
+    """Runs of one composed model."""
+
+    model: Model
     options: Options

@@ -13,10 +13,10 @@ from phfmu import PHDAE, Monolithic, NativeInstance, Options, Scene, block, ener
 from phfmu.audit.judge import FLOOR, HEADER, PARTS, RUN, ULPS
 from phfmu.components.library import GRIDS, LIBRARY, build
 from phfmu.sweeps.design import Design
-from phfmu.sweeps.general_runs import GeneralRuns
+from phfmu.sweeps.general_runs import GeneralRuns, of_model
 from phfmu.sweeps.native_runs import NativeRuns, fits
 from phfmu.sweeps.recipe import Recipe
-from phfmu.sweeps.task import Task
+from phfmu.sweeps.task import ModelTask
 
 pytestmark = pytest.mark.usefixtures("compiler")
 STEPS = 200
@@ -24,17 +24,17 @@ STEPS = 200
 SWEPT = [name for name in LIBRARY if name not in GRIDS]
 
 
-def tasks(target: Scene | PHDAE, names: tuple[str, ...], step: float) -> Task:
+def tasks(target: Scene | PHDAE, names: tuple[str, ...], step: float) -> ModelTask:
     """Measured are states: stored energies are sums of their changes in a sweep."""
     d = target.declaration() if isinstance(target, Scene) else target
     measured = tuple(f"last({n})" for v in d.states for n in v.names())
     return Recipe(target, names, measured, Options(stop=STEPS * step, step=step), None, "native").task()
 
 
-def by_both(task: Task, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def by_both(task: ModelTask, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The shares of what is allowed: of the compiled loop, and of the run loop."""
     assert fits(task)
-    return NativeRuns(task).take(rows).ledger, GeneralRuns(task, NativeInstance).take(rows).ledger
+    return NativeRuns(task).take(rows).ledger, GeneralRuns(task, of_model(task, NativeInstance)).take(rows).ledger
 
 
 def swept_and_run(name: str) -> None:
@@ -49,7 +49,7 @@ def swept_and_run(name: str) -> None:
     start = first.start[0] or 1e-3
     swept, share = NativeRuns(task), []
     for row in np.array([[start], [1.001 * start]]):
-        one, other = swept.take(row[None]), GeneralRuns(task, NativeInstance).take(row[None])
+        one, other = swept.take(row[None]), GeneralRuns(task, of_model(task, NativeInstance)).take(row[None])
         assert one.errors == other.errors
         assert (one.steps == other.steps).all() and np.array_equal(one.values, other.values, equal_nan=True)
         assert one.ledger == pytest.approx(other.ledger, rel=1e-12, abs=0.0)

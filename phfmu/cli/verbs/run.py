@@ -31,7 +31,6 @@ def add_parser(verbs: Any) -> None:
     from phfmu.cli.settings import add_settings
     from phfmu.cli.sound import add_no_check
     from phfmu.fmu.version import LATEST, VERSIONS
-    from phfmu.network.couplings.coupling_table import AUTO, COUPLINGS
     from phfmu.network.members.interpolations import INTERPOLATIONS
 
     parser = verbs.add_parser("run", help="simulate; result table, audit")
@@ -42,24 +41,13 @@ def add_parser(verbs: Any) -> None:
     stepping.add_engine(parser, stepping.ENGINES)
     stepping.add_stepping(parser)
     parser.add_argument("--fmi", choices=tuple(VERSIONS), help=f"FMI version of --engine fmu (default {LATEST})")
-    lines = [f"{row.name}: {row.about}" for row in COUPLINGS.values()]
-    parser.add_argument("--coupling", choices=tuple(COUPLINGS), help="; ".join(lines) + f" (default: {AUTO.name})")
-    in_turn = ", ".join(row.name for row in COUPLINGS.values() if row.in_turn)
-    parser.add_argument(
-        "--sequence", metavar="A,B,..", help=f"the order in which --coupling {in_turn} steps the members"
-    )
-    parser.add_argument("--unconverged", default="raise", choices=("raise", "halve", "accept"),
-                        help="what to do with a step whose coupling does not converge: refuse it (default), take it in "
-                        "halves, or keep the best trial, with what its junctions make of energy booked")  # fmt: skip
-    parser.add_argument("--signals-held", action="store_true",
-                        help="hold signals between members over a step as they are at its start (order 1), not on the line "
-                        "through two samples (order 2); --coupling newton iterates those of units that go back")  # fmt: skip
+    stepping.add_coupling(parser)
     options.add_steps(parser)
     add_settings(parser)
     add_no_check(parser)
     options.add_lenient(parser)
     options.add_grid(parser)
-    _add_units(parser)
+    stepping.add_units(parser)
     parser.add_argument("--input", metavar="FILE",
                         help="input and parameter values over time (.csv or .parquet, first column time)")  # fmt: skip
     parser.add_argument("--interpolate", default="held", choices=tuple(INTERPOLATIONS),
@@ -75,16 +63,6 @@ def add_parser(verbs: Any) -> None:
                         "run that follows")  # fmt: skip
     parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
     parser.set_defaults(call=call)
-
-
-def _add_units(parser: argparse.ArgumentParser) -> None:
-    """Options of FMUs."""
-    parser.add_argument("--isolate", action="store_true",
-                        help="FMUs in processes of their own: where one ends or hangs, the run has exit code 3")  # fmt: skip
-    parser.add_argument("--isolate-timeout", type=float, metavar="SECONDS",
-                        help="the same, and how long a call into an FMU may take (default 60)")  # fmt: skip
-    parser.add_argument("--unit-tolerance", type=float, metavar="TOL",
-                        help="relative tolerance that FMUs are told of for steps inside them (default: their own)")  # fmt: skip
 
 
 def _add_outputs(parser: argparse.ArgumentParser) -> None:

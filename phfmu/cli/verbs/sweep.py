@@ -8,14 +8,33 @@ from typing import TYPE_CHECKING, Any
 from phfmu.words import counted
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
     from pathlib import Path
 
     import pyarrow as pa
 
     from phfmu.declare.phdae import PHDAE
+    from phfmu.network.couplings.stepper import Stepper
+    from phfmu.network.scene import Scene
+    from phfmu.runs.options import Options
     from phfmu.sweeps.crew import Scheduler
     from phfmu.sweeps.design import Design
 
+#: options of a sweep that its runs do not depend on
+NOT_OF_A_RUN = (
+    "call",
+    "verb",
+    "vary",
+    "table",
+    "measure",
+    "output",
+    "resume",
+    "folder",
+    "scheduler",
+    "scheduler_file",
+    "jobs",
+    "quiet",
+)
 #: failed runs whose reasons are printed
 FAILURES = 5
 
@@ -50,42 +69,44 @@ def add_parser(verbs: Any) -> None:
     parser.add_argument("--stop", type=float, help="stop time in s (default: the scene's)")
     parser.add_argument("--step", type=float, help="step in s (default: the scene's)")
     stepping.add_engine(parser, ("auto", "python", "native"))
+    stepping.add_stepping(parser)
+    stepping.add_coupling(parser)
     options.add_scheme(parser)
     options.add_steps(parser)
     add_settings(parser)
     add_no_check(parser)
+    options.add_lenient(parser)
+    options.add_grid(parser)
+    stepping.add_units(parser)
     parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
-    parser.set_defaults(call=call, ecco=None, project=False, keep=[], audit="summary", audit_rtol=1e-11)
+    parser.set_defaults(call=call, project=False, keep=[], input=None, fmi=None, audit="summary", audit_rtol=1e-11)
 
 
 def call(args: argparse.Namespace) -> int:
-    from functools import partial
     from time import perf_counter
 
-    from phfmu.cli import options
     from phfmu.cli.codes import FINE, LEDGER, NO_CONVERGENCE
-    from phfmu.cli.job import composed
+    from phfmu.cli.options import scene_of
     from phfmu.cli.progress import Bar
-    from phfmu.cli.stepping import engine_of
     from phfmu.sweeps import design
     from phfmu.sweeps.runs import sweep
+    from phfmu.target import is_fmu
 
     if args.dense is not None:
         raise ValueError("--dense is for the rows of one run; leave it out of a sweep")
     if args.jobs is not None and args.jobs < 1:
         raise ValueError(f"--jobs {args.jobs}: expected a number from 1")
     file = _file(args)
-    scene, scheduler, folder = composed(args), _scheduler(args), _folder(args)
-    made = scene if scheduler is None else partial(composed, _anywhere(args))
+    scheduler, folder = _scheduler(args), _folder(args)
     runs = design.table(args.table) if args.table else design.axes(args.vary)
-    declaration = scene.declaration()
-    _require_sound(args, declaration, runs)
+    s = None if is_fmu(args.target) else scene_of(args)
+    anywhere = scheduler is not None
+    taken = _apart(args, runs, anywhere) if s is None or _is_apart(args, s) else _composed(args, s, runs, anywhere)
     begun = perf_counter()
     with Bar("runs", len(runs.rows), args.quiet) as bar:
         table = sweep(
-            made, runs, args.measure, options=options.of_run(args, scene, whole=True), engine=engine_of(args.engine),
-            scheme=options.scheme_of(args, declaration), jobs=args.jobs, scheduler=scheduler, file=file,
-            resume=args.resume, keep=folder, progress=bar,
+            design=runs, measures=args.measure, scheduler=scheduler, file=file, resume=args.resume, keep=folder, progress=bar,
+            **taken,
         )  # fmt: skip
     errors = table["error"].to_pylist()
     failed, worst = sum(map(bool, errors)), max((v for v in table["ledger"].to_pylist() if v is not None), default=0.0)
@@ -94,6 +115,99 @@ def call(args: argparse.Namespace) -> int:
     if failed == len(runs.rows):
         return NO_CONVERGENCE
     return LEDGER if worst > 1 else FINE
+
+
+def _is_apart(args: argparse.Namespace, s: Scene) -> bool:
+    """Whether each run has a stepper of its own: there are units, or members are to be stepped apart."""
+    from phfmu.cli.stepping import asked_apart
+    from phfmu.network.couplings.coupling_table import COUPLINGS
+
+    coupling = args.coupling not in (None, "auto") and COUPLINGS[args.coupling].apart
+    return bool(s.units) or coupling or asked_apart(args)
+
+
+def _composed(args: argparse.Namespace, s: Scene, runs: Design, anywhere: bool) -> dict[str, Any]:
+    """What `sweep` takes for runs of one composed model: `anywhere` other processes take them."""
+    from functools import partial
+
+    from phfmu.cli import options
+    from phfmu.cli.job import with_given
+    from phfmu.cli.stepping import engine_of
+
+    scene = with_given(args, s)
+    declaration = scene.declaration()
+    _require_sound(args, declaration, runs)
+    return {
+        "target": partial(_again, _anywhere(args)) if anywhere else scene,
+        "options": options.of_run(args, scene, whole=True), "engine": engine_of(args.engine),
+        "scheme": options.scheme_of(args, declaration), "jobs": args.jobs,
+    }  # fmt: skip
+
+
+def _again(args: argparse.Namespace) -> Scene:
+    """The scene that is composed, in another process."""
+    from phfmu.cli.job import with_given
+    from phfmu.cli.options import scene_of
+
+    return with_given(args, scene_of(args))
+
+
+def _apart(args: argparse.Namespace, runs: Design, anywhere: bool) -> dict[str, Any]:
+    """What `sweep` takes for runs of members apart or of units; what a run would tell stands on stderr once.
+
+    Units in this process are taken by one thread unless more are asked for: their libraries may share what they keep.
+    """
+    import sys
+    from functools import partial
+    from hashlib import sha256
+
+    from phfmu.cli.job import job_of
+    from phfmu.network.couplings.coupled import Coupled
+    from phfmu.network.members.engine_member import EngineMember
+    from phfmu.sweeps.recipe import Steppers, words_of
+
+    for name, column in zip(runs.names, runs.rows.T, strict=True):
+        for value in sorted({float(column.min()), float(column.max())}):
+            job_of(_with(args, {name: value}))  # its values are sound, or refused here
+    job = job_of(args)
+    files, stepper = _unit_files(args, job.scene), job.build()
+    for note in job.notes:
+        print(f"phfmu: {note}", file=sys.stderr)
+    asked = [f"{name}={value}" for name, value in sorted(vars(args).items()) if name not in NOT_OF_A_RUN]
+    members = stepper.joined.members if isinstance(stepper, Coupled) else ()
+    models = [w for m in members if isinstance(m, EngineMember) for w in words_of(m.model)]
+    units = [sha256(file.read_bytes()).hexdigest() for file in files]
+    one = files and not (anywhere or args.isolate or args.isolate_timeout)
+    made = partial(_stepper, _anywhere(args) if anywhere else args)
+    return {"target": Steppers(made, (*asked, *models, *units)), "jobs": args.jobs or (1 if one else None)}
+
+
+def _unit_files(args: argparse.Namespace, s: Scene) -> list[Path]:
+    from pathlib import Path
+
+    from phfmu.target import is_fmu
+
+    return [Path(args.target)] if is_fmu(args.target) else [u.path for u in s.units.values()]
+
+
+def _with(args: argparse.Namespace, values: Mapping[str, float]) -> argparse.Namespace:
+    given = [f"{name}={value!r}" for name, value in values.items()]
+    return argparse.Namespace(**(vars(args) | {"set": [*args.set, *given]}))
+
+
+def _stepper(args: argparse.Namespace, values: Mapping[str, float]) -> tuple[Stepper, Options]:
+    """What `phfmu run` would step with these values."""
+    from dataclasses import replace
+
+    from phfmu.cli import options
+    from phfmu.cli.job import job_of
+    from phfmu.cli.timeline import timeline
+
+    own = _with(args, values)
+    job = job_of(own)
+    stepper = job.build()
+    events, _, _ = timeline(own, job.scene, stepper.settable())
+    return stepper, replace(options.of_run(own, job.scene, whole=job.whole), events=events)
 
 
 def _scheduler(args: argparse.Namespace) -> Scheduler | None:
