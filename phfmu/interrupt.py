@@ -2,12 +2,14 @@
 
 Outside of runs such a signal raises at once (`raising`).  A run keeps the first one (`Signals`) until it is between two blocks
 of steps, so that nothing of it is lost; what else may take long on the way, a compiler or a unit in a process of its own, asks
-for it (`check`).  Waits that a handler cannot end are taken in slices of `SLICE` s.
+for it (`check`).  Waits that a handler cannot end are taken in slices of `SLICE` s; where other people's code clears the error
+that a signal raised within it, as conversions of arguments do, it is raised again every `AGAIN` s until something ends by it.
 """
 
 from __future__ import annotations
 
 import signal
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -17,6 +19,7 @@ from typing import Any
 NAMES = ("SIGINT", "SIGTERM", "SIGHUP")
 #: s
 SLICE = 0.2
+AGAIN = 0.5
 
 
 class Interrupted(KeyboardInterrupt):
@@ -73,25 +76,43 @@ def check() -> None:
 
 @contextmanager
 def raising() -> Iterator[None]:
-    """The signals that Python would end by without a word raise Interrupted; SIGINT does so by itself."""
+    """The signals raise Interrupted, where nobody else has taken them."""
+    alarm = hasattr(signal, "setitimer")
 
     def take(number: int, _: object) -> None:
+        def again(*_: object) -> None:
+            if not _ending():
+                raise Interrupted(number)
+
+        if alarm:
+            before.setdefault(signal.SIGALRM, signal.signal(signal.SIGALRM, again))
+            signal.setitimer(signal.ITIMER_REAL, AGAIN, AGAIN)
         raise Interrupted(number)
 
-    before = _handled(take, [name for name in NAMES if name != "SIGINT"], only=signal.SIG_DFL)
+    before = _handled(take, NAMES, only=(signal.SIG_DFL, signal.default_int_handler))
     try:
         yield
     finally:
+        if alarm and signal.SIGALRM in before:
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
         for number, handler in before.items():
             signal.signal(number, handler)
 
 
-def _handled(take: Any, names: Any, only: Any = None) -> dict[int, Any]:
-    """Handlers that `take` took the place of: not of signals that are ignored, nor, if given, of others than `only`."""
+def _ending() -> bool:
+    """Whether what runs is on its way out by such a signal: an error of it is being handled."""
+    error = sys.exc_info()[1]
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__context__
+    return error is not None
+
+
+def _handled(take: Any, names: Any, only: tuple[Any, ...] = ()) -> dict[int, Any]:
+    """Handlers that `take` took the place of: not of signals that are ignored, nor, if given, of those that others than `only` have."""
     before: dict[int, Any] = {}
     if threading.current_thread() is threading.main_thread():
         for number in (getattr(signal, name) for name in names if hasattr(signal, name)):
             known = signal.getsignal(number)
-            if known is not signal.SIG_IGN and (only is None or known == only):
+            if known is not signal.SIG_IGN and (not only or known in only):
                 before[number] = signal.signal(number, take)
     return before
