@@ -27,12 +27,13 @@ class Interpolant:
         self.jumps = time[jumps]
         self.after = values[jumps + 1]
         self._time = time
-        self._c = np.zeros((4, len(time), len(self.names)))
+        self._c = np.zeros((4 if kind == "cubic" else 2, len(time), len(self.names)))
         self._c[0] = values
         edges = [0, *(jumps + 1), len(time)]
         for a, b in zip(edges[:-1], edges[1:], strict=True):
             if b - a > 1:
-                self._c[:, a : b - 1] = _curve(time[a:b], values[a:b], kind)
+                found = _curve(time[a:b], values[a:b], kind)
+                self._c[: len(found), a : b - 1] = found
 
     def __call__(self, t: ArrayLike, after: bool = False) -> Array:
         """u (t x names) at times t; at a jump the value before it, or the one `after` it."""
@@ -40,8 +41,10 @@ class Interpolant:
         i = np.searchsorted(self._time, at, side="right" if after else "left") - 1
         i = np.clip(i, 0, len(self._time) - 1)
         s = np.clip(at - self._time[i], 0.0, None)[..., None]
-        c = self._c[:, i]
-        return c[0] + s * (c[1] + s * (c[2] + s * c[3]))
+        *lower, out = self._c[:, i]
+        for c in reversed(lower):
+            out = c + s * out
+        return out
 
     def at_nodes(self, c: Array, t0: float, h: float, n: int, first: int) -> Array:
         """u (n x k x names) at the fractions c (k) of the steps first..first+n-1 of the grid t0 + k h."""
@@ -50,11 +53,9 @@ class Interpolant:
 
 
 def _curve(time: Array, values: Array, kind: str) -> Array:
-    """Coefficients (4 x intervals x names) between rows at increasing times."""
+    """Coefficients (2 or 4 x intervals x names) between rows at increasing times."""
     if kind == "cubic" and len(time) > 2:
         from scipy.interpolate import CubicSpline
 
         return np.ascontiguousarray(CubicSpline(time, values).c[::-1])
-    out = np.zeros((4, len(time) - 1, values.shape[1]))
-    out[0], out[1] = values[:-1], np.diff(values, axis=0) / np.diff(time)[:, None]
-    return out
+    return np.stack([values[:-1], np.diff(values, axis=0) / np.diff(time)[:, None]])
