@@ -108,7 +108,7 @@ def _ending() -> bool:
 
 
 def _handled(take: Any, names: Any, only: tuple[Any, ...] = ()) -> dict[int, Any]:
-    """Handlers that `take` took the place of: not of signals that are ignored, nor, if given, of those that others than `only` have."""
+    """Handlers that `take` took the place of: not of ignored signals, nor, if given, where another than `only` is set."""
     before: dict[int, Any] = {}
     if threading.current_thread() is threading.main_thread():
         for number in (getattr(signal, name) for name in names if hasattr(signal, name)):
