@@ -87,6 +87,8 @@ STEP_LEDGER = (
 )
 #: the same of changes between steps and of jumps, in models that have such
 JUMPED = ("events", "jumped", "energy brought since the start by changes of parameters and signals between steps")
+#: the part of stored energy that no state enters, in units of models that have such
+CONSTANT = "constant"
 #: of models with state events: name, unit and meaning of what is counted
 HAPPENED = (
     ("events.count", "1", "state events since the start, those that happen together being one"),

@@ -16,12 +16,13 @@ from numpy.typing import NDArray
 from phfmu.audit.judge import Judge
 from phfmu.audit.summing.ordinary import Ordinary
 from phfmu.audit.summing.run_sums import RunSums
+from phfmu.discretise.constant_energy import Constants
 from phfmu.discretise.model import CONSISTENCY
 from phfmu.engine.native.library import drivers
 from phfmu.engine.native.native import NativeInstance
 from phfmu.engine.native.structures import Header, Structures
 from phfmu.network.couplings.monolithic import Monolithic
-from phfmu.network.members.columns import Columns, Constants
+from phfmu.network.members.columns import Columns
 from phfmu.network.members.consistent import InconsistentState, require_consistent
 from phfmu.network.members.inputs import with_bare
 from phfmu.network.scene import Event

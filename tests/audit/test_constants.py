@@ -18,7 +18,11 @@ from phfmu.audit.violation import ViolationKind
 from phfmu.cli import main
 from phfmu.components.library import build
 from phfmu.declare.energy import Energy
+from phfmu.fmu.importer.reader import FMUInstance
+from phfmu.network.as_unit.export import export_network
 from phfmu.network.couplings.monolithic import Monolithic
+from phfmu.network.couplings.unit import FMUStepper
+from phfmu.network.members.fmu_member import FMUMember
 from phfmu.runs.loop import run
 from tests.test_random_models import STRUCTURES, N, declaration
 from tests.wide import wide
@@ -129,6 +133,50 @@ def test_a_constant_that_an_event_brings_hides_no_made_energy(how: str, order: i
         if sink is not None:
             sink.close()
             assert summarise(tmp_path / f"{made}.audit.parquet").closed is (made == 0.0)
+
+
+@pytest.mark.parametrize(("version", "how", "order"), wide(
+    [(v, how, k) for v in ("2.0", "3.0") for how in ("alone", "coupled", "members inside") for k in (2, 4)],
+    ("2.0", "alone", 2), ("3.0", "coupled", 4), ("3.0", "members inside", 4),
+))  # fmt: skip
+@pytest.mark.parametrize("store", ["start", "event"])
+def test_a_unit_tells_its_constant(version: str, how: str, order: int, store: str, tmp_path) -> None:
+    """5 J that a J that is not skew makes, beside 1e12 J that the unit is started with, or is given in the run."""
+    x, y = ph.state("x", start=1.0), ph.state("y")
+    constant, gain = ph.parameter("constant", 0.0), ph.parameter("gain", 0.0)
+    J = ca.SX.zeros(2, 2)
+    J[0, 1], J[1, 0], J[1, 1] = 1.0, -1.0, gain.sx
+    d = PHDAE(
+        "flywheel", states=(x, y), energies=(energy(2.5 * (x.sx**2 + y.sx**2) + constant.sx),),
+        structure=(block([x, y], J),), parameters=(constant, gain),
+    )  # fmt: skip
+    scheme, names = Collocated(order // 2), ["constant", "gain"]
+    if how == "members inside":
+        inside = ph.Network("inside")
+        inside.add("a", d)
+        inside.add("b", PHDAE("still", states=(z := ph.state("z", start=1.0),), energies=(energy(z.sx**2),)))
+        names = ["a.constant", "a.gain"]
+        (path,) = export_network(inside, tmp_path, dict.fromkeys("ab", scheme), [version], step=0.01, tunable=names)
+    else:
+        (path,) = ph.export(build_model(d, scheme), tmp_path, [version], step=0.01, tunable=names)
+    for made in (0.0, 0.0025):
+        given = {names[0]: 1e12 if store == "start" else 0.0, names[1]: made}
+        with FMUInstance(path, starts=given) as unit:
+            stepper: Any = FMUStepper(unit)
+            prefix = "unit." if how == "coupled" else ""
+            if how == "coupled":
+                net = ph.Network("two")
+                net.add("unit", path)
+                stepper = ph.Coupled(net, [FMUMember("unit", unit)])
+            events = [ph.Event(0.5, prefix + names[0], 1e12)] if store == "event" else []
+            found = run(stepper, Options(stop=10.0, step=0.01, events=events)).ledger.summary()
+        assert found.closed is (made == 0.0), found
+
+
+def test_units_without_a_constant_have_no_variable_for_it(tmp_path) -> None:
+    (path,) = ph.export(build_model(build("smib").declaration()), tmp_path, ["3.0"], step=1e-4)
+    with FMUInstance(path) as unit:
+        assert "energy.constant" not in unit.interface.variables
 
 
 def test_compiled_sweeps_leave_such_events_to_the_usual_loop() -> None:

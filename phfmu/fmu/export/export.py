@@ -7,6 +7,7 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 
 from phfmu.declare.model_name import unwritable
+from phfmu.discretise.constant_energy import telling_constant
 from phfmu.discretise.model import Model, takes_model
 from phfmu.engine.build.compile import compile, host_target, suffix
 from phfmu.fmu.export import manifest, package, sources
@@ -65,6 +66,7 @@ def export(
     """
     rows = rows_of(versions)
     _require_writable(model, step, tunable, node_inputs or impulses)
+    model = telling_constant(model)
     set_later, inside = _scalars(model, [*tunable, *(e.name for e in events)]), in_order(model, events)
     unit = Unit(
         model, step, stop, node_inputs, ledger_outputs, terminals, tuple(left_out), arrays, tuple(outward), set_later, impulses,

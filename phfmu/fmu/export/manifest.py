@@ -14,7 +14,7 @@ from phfmu.fmu.export.description import Unit
 from phfmu.fmu.export.value_groups import JUMP
 from phfmu.fmu.words import plain
 from phfmu.fmu.xml import Element, etree, number, text_of
-from phfmu.signals import JUMPED, LEDGER, MEAN, STEP_LEDGER, pair_energies, port_energy, total
+from phfmu.signals import CONSTANT, JUMPED, LEDGER, MEAN, STEP_LEDGER, pair_energies, port_energy, total
 from phfmu.terms.port_impulses import Impulse, PortImpulse
 
 LAYER = "org.phfmu.ports"
@@ -140,6 +140,10 @@ def manifest(unit: Unit) -> bytes:
         energy.set(ENERGY.get(what, what), total(what))
     if unit.jumps or unit.model.events is not None:
         energy.set(JUMPED[0], total(JUMPED[0]))
+    if constant := [
+        v.name for v in unit.variables if v.name == total(CONSTANT) or v.name.endswith("." + total(CONSTANT))
+    ]:
+        energy.set(CONSTANT, " ".join(constant))
     for v in unit.variables:
         if v.block == "FMU_TUNABLE" and v.causality == "parameter":
             etree.SubElement(root, "Tunable", name=v.name)

@@ -230,6 +230,7 @@ def network_unit(network: Network, whole: Coupled, models: Sequence[Model], **op
 
 def coupled_members(network: Network, schemes: Mapping[str, Scheme]) -> tuple[Coupled, list[Model]]:
     """The members of a network, native ones of their schemes, under the Newton coupling, and their models.  FMUError."""
+    from phfmu.discretise.constant_energy import telling_constant
     from phfmu.discretise.model import build_model
     from phfmu.engine.native.native import NativeInstance
     from phfmu.network.couplings.apart import Apart
@@ -249,7 +250,7 @@ def coupled_members(network: Network, schemes: Mapping[str, Scheme]) -> tuple[Co
     whole = Apart(network)
     coupling = named_coupling("newton", network)
     separate = network.separate(whole.holding(lambda name: schemes[name].node_values))
-    models = [build_model(separate[name], schemes[name]) for name in network.declared]
+    models = [telling_constant(build_model(separate[name], schemes[name])) for name in network.declared]
     members: list[Any] = [
         EngineMember(name, model, NativeInstance(model)) for name, model in zip(network.declared, models, strict=True)
     ]

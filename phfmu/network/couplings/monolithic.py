@@ -11,13 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.discretise.accounts import Accounts
+from phfmu.discretise.constant_energy import Constants
 from phfmu.discretise.model import Model, build_model
 from phfmu.engine.record import Grid
 from phfmu.engine.rest_changes import RestChange
 from phfmu.engine.switched import stepped
 from phfmu.network.couplings.stepper import Landing
 from phfmu.network.impulses.projections import Projections
-from phfmu.network.members.columns import Columns, Constants, booking
+from phfmu.network.members.columns import Columns, booking
 from phfmu.network.members.consistent import require_consistent
 from phfmu.network.members.happenings import Happenings
 from phfmu.network.members.inputs import Inputs

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from phfmu.audit.booking import Booking
 from phfmu.engine.rest_changes import RestChange
 from phfmu.fmu.importer.reader import FMUInstance
 from phfmu.interrupt import Interrupted
@@ -29,8 +30,11 @@ class FMUStepper:
         self.member = FMUMember(unit.name, unit)
         self.unit = unit
         self.names = self.member.names
-        self.booking = self.member.booking
         self._u = unit.start_inputs()
+
+    @property
+    def booking(self) -> Booking:
+        return self.member.booking
 
     @property
     def units(self) -> dict[str, str]:

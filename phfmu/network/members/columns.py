@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,7 +11,6 @@ from phfmu.audit.booking import Booking, PortKey, TermKey
 from phfmu.discretise.accounts import Accounts
 from phfmu.discretise.model import Model
 from phfmu.signals import Quantity, SignalKind, ordered_ports, quantities
-from phfmu.terms.canonical import member
 
 Array = NDArray[np.float64]
 
@@ -89,41 +87,6 @@ def booking(model: Model, constants: tuple[float, ...]) -> Booking:
     terms = () if accounts is None else accounts.terms
     keys = tuple(TermKey(a.component or model.name, a.term, a.stores) for a in terms)
     return Booking(components, tuple(pairs), constants=constants, terms=keys)
-
-
-class Constants:
-    """The constant part of H, by component: each summand with all states at zero, or at the start where it has no value there."""
-
-    def __init__(self, model: Model):
-        d = model.declaration
-        summands = [(e.owner, e.expr) for e in d.energies] + [(p.owner, p.hamiltonian) for p in d.closed]
-        x, p = (ca.vertcat(ca.SX(0, 1), *(v.sx for v in some)) for some in (d.states, d.parameters))
-        H = ca.vertcat(ca.SX(0, 1), *(e for _, e in summands))
-        starts = ca.DM(model.x0[: x.numel()])
-        zero, start = (ca.densify(ca.substitute(H, x, point)) for point in (0 * starts, starts))
-        self._values = ca.Function("H", [p], [zero, start])
-        self._p0 = model.p0
-        self._owner = np.array([member(model.members, owner) for owner, _ in summands], int)
-        self._count, self._accounts = len(model.members), Accounts.of(model.members)
-
-    @property
-    def parameters(self) -> frozenset[int]:
-        """Places of the parameters that they depend on."""
-        lost = ~np.isfinite(np.array(self._values(self._p0)[0]).ravel())
-        on_zero, on_start = (self._values.jac_sparsity(i, 0).get_triplet() for i in range(2))
-        return frozenset(on_zero[1]) | {j for i, j in zip(*on_start, strict=True) if lost[i]}
-
-    def booked(self, p: NDArray[np.float64]) -> tuple[float, ...]:
-        """As `at`, by the components that are booked."""
-        held = self.at(p)
-        return held if self._accounts is None or not held else tuple(self._accounts.folded(np.array(held)).tolist())
-
-    def at(self, p: NDArray[np.float64]) -> tuple[float, ...]:
-        """For these parameters [J]; () where nothing is."""
-        zero, start = (np.array(values).ravel() for values in self._values(p))
-        value = np.where(np.isfinite(zero), zero, np.where(np.isfinite(start), start, 0.0))
-        found = np.bincount(self._owner, value, self._count)
-        return tuple(found.tolist()) if found.any() else ()
 
 
 def booked(model: Model) -> NDArray[np.intp]:

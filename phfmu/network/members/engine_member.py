@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.audit.booking import Booking
+from phfmu.discretise.constant_energy import Constants
 from phfmu.discretise.model import Model, build_model
 from phfmu.engine.impulses import port_kernels
 from phfmu.engine.rest_changes import RestChange
-from phfmu.network.members.columns import Columns, Constants, booked, booking
+from phfmu.network.members.columns import Columns, booked, booking
 from phfmu.network.members.consistent import MONOLITHIC, require_consistent
 from phfmu.network.members.differences import finite_differences
 from phfmu.network.members.happenings import Happenings

@@ -6,6 +6,7 @@ State events within a step of a unit are read from the outputs it has for them.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -21,7 +22,7 @@ from phfmu.network.members.differences import finite_differences
 from phfmu.network.members.inputs import places
 from phfmu.outcome.status import Status, StepFailure
 from phfmu.outcome.steps import StepEvent
-from phfmu.signals import ENERGY, HAPPENED, JUMPED, SignalKind, port_energy, total
+from phfmu.signals import CONSTANT, ENERGY, HAPPENED, JUMPED, SignalKind, port_energy, total
 from phfmu.words import counted
 
 
@@ -108,7 +109,9 @@ class FMUMember:
         self._watched = np.array(watched, int)
         self._inside = _fed_from_inside(unit)
         self._length: float | None = None
+        self._constant = unit.interface.energy.get(CONSTANT, "").split()
         self.booking = _booking(unit, name)
+        self._rebook()
         self._tunable = frozenset(unit.tunable)
         self._others = [*(n for n in unit.other_inputs if n not in self.taken), *unit.tunable]
         self._u = self.start_inputs()
@@ -177,6 +180,7 @@ class FMUMember:
         if found:
             self._given |= dict.fromkeys(found, value)
             self.unit.set(dict.fromkeys(found, value))
+            self._rebook()
             return "parameter" if found[0] in self._tunable else "input"
         variables = self.unit.interface.variables.items()
         known = {n: i for i, (n, v) in enumerate(variables) if v.causality == "parameter"}
@@ -186,6 +190,11 @@ class FMUMember:
             f"{self.name}.{name} = {value:g}: this parameter of the FMU is fixed during a run; export it as tunable "
             "(--tunable), set a start value (--set) instead, drive an input, or run the declaration it was made of"
         )
+
+    def _rebook(self) -> None:
+        """What the unit tells to be constant in its stored energy may follow a parameter that was set."""
+        if self._constant and (held := (float(self.unit.get(self._constant).sum()),)) != self.booking.constants:
+            self.booking = replace(self.booking, constants=held)
 
     def read_signals(self, names: Sequence[str]) -> Array:
         return self.unit.get(names)
