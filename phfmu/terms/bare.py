@@ -107,7 +107,8 @@ class Finder:
         inside = {s.element_hash() for expr in rows.values() for s in ca.symvar(expr)} & set(algebraics)
         if not inside:
             return rows
-        others = row_expressions(self.terms, [r for r in range(len(algebraics)) if r not in rows], self.z)
+        u = ca.SX.sym("u", len(self.terms.pairs))  # what a source gives is not zero
+        others = row_expressions(self.terms, [r for r in range(len(algebraics)) if r not in rows], self.z, u)
         zero = []
         for expr in others.values():
             alone = ca.symvar(expr)

@@ -20,12 +20,12 @@ def costate_symbols(model: PHDAE) -> ca.SX:
     return ca.vertcat(*(v.z for v in model.states))
 
 
-def row_expressions(terms: Terms, rows: Iterable[int], z: ca.SX) -> dict[int, ca.SX]:
+def row_expressions(terms: Terms, rows: Iterable[int], z: ca.SX, u: ca.SX | None = None) -> dict[int, ca.SX]:
     """The chosen algebraic rows [(J - R) z + B u]_2 in x, `z` (n1), algebraic variables and parameters.
 
-    Free inputs are left out, and so are the rows of holonomic constraints.
+    `u`: free inputs (a symbol a pair), by default left out;  the rows of holonomic constraints are without these.
     """
-    return _expressions(terms, Row.EQUATION, rows, z, ca.SX.zeros(len(terms.pairs)))
+    return _expressions(terms, Row.EQUATION, rows, z, ca.SX.zeros(len(terms.pairs)) if u is None else u)
 
 
 def output_expressions(terms: Terms, pairs: Iterable[int], z: ca.SX, u: ca.SX) -> dict[int, ca.SX]:

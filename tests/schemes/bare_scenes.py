@@ -27,9 +27,17 @@ RATED = 18881.48  # A, peak, of kundur555_1q
 STOP = 0.02
 
 
+def plant_current(plant: complex, w: float, t: float) -> np.ndarray:
+    """Of the phases, Re(plant exp(j (w t - alpha)))."""
+    return (plant * np.exp(1j * (w * t - ALPHA))).real
+
+
 @cache
-def lumped() -> tuple[object, object]:
-    """smib with the torque step at t = 0 and the line folded into the machine (no node): t -> I, and bus data."""
+def lumped(plant: complex = 0j) -> tuple[object, object]:
+    """smib with the torque step at t = 0 and the line folded into the machine (no node): t -> I, and bus data.
+
+    `plant`: what a balanced current source delivers to the node [A]; on the line it adds R i + L i' to the grid's voltage.
+    """
     scene, machines = load("scenes")["smib"], load("machines")
     machine = MachineReference(machines[scene["machine"]], scene["d"], scene["Rx"], scene["Lx"])
     bus, inputs, initial = scene["infinite_bus"], scene["inputs"], scene["initial"]
@@ -37,6 +45,7 @@ def lumped() -> tuple[object, object]:
 
     def rhs(t: float, y: np.ndarray) -> np.ndarray:
         v = bus["amp"] * np.cos(w * t + bus["phase"] - ALPHA)
+        v += plant_current(plant * (scene["Rx"] + 1j * w * scene["Lx"]), w, t)
         d = machine.rhs(y[:6], machine.J * w + y[6], w * t + y[7], v, inputs["Vf"], inputs["tau1"])
         return np.concatenate([d[0], [d[1], y[6] / machine.J]])
 

@@ -23,6 +23,7 @@ from phfmu.components.electrical.machines.machine_data import machine_set
 from phfmu.components.electrical.machines.machine_init import steady_state
 from phfmu.components.electrical.machines.synchronous_machine import synchronous_machine
 from phfmu.components.electrical.rl_line import rl_line
+from phfmu.components.electrical.sources import balanced_current_source
 from phfmu.components.scenes.smib import smib
 from phfmu.components.scenes.two_machine import two_machine
 from phfmu.discretise.start import project_start
@@ -37,6 +38,7 @@ from tests.schemes.bare_scenes import (
     joined,
     lumped,
     mean_voltage,
+    plant_current,
     saturable,
     saturable_pair,
     scene_inductance,
@@ -260,6 +262,40 @@ class Rows:
 
     def __getattr__(self, name: str):
         return lambda *args, **kwargs: None
+
+
+def with_plant(plant: complex) -> PHDAE:
+    """smib with a balanced current source at the node between machine and line."""
+    members = smib().system.members  # type: ignore[union-attr]
+    line = members["line"]
+    own = dict(zip(line.states[0].names(), plant_current(plant, 2 * np.pi * 60.0, 0.0), strict=True))
+    starts = dict(zip(line.states[0].names(), line.states[0].start, strict=True))
+    net = Network("with_plant")
+    net.add("gen", members["gen"])
+    net.add("line", line.with_starts({n: starts[n] + float(line.parameters[1].start[0]) * own[n] for n in own}))
+    net.add("grid", members["grid"])
+    net.add("plant", balanced_current_source(plant, 60.0, v=2e4, i=abs(plant)))
+    net.junction("bus1", ["gen.terminal", "line.a", "plant.terminal"])
+    net.junction("bus2", ["line.b", "grid.terminal"])
+    return net.compose()
+
+
+@pytest.mark.parametrize("k", [1, 2, 3])
+def test_what_a_source_gives_at_a_node_is_not_zero(k: int) -> None:
+    """Its current is given by a row of its own, as that of a meter, and is another one."""
+    plant = 0.4 * RATED * np.exp(0.3j)
+    declaration = with_plant(plant)
+    nodes = bare_nodes(extract(declaration))
+    assert {n.remedy for n in nodes} == {"none"} and "other algebraic variables" in nodes[0].reason
+    found = []
+    for h in (4e-4, 2e-4):
+        model, instance, r = stepped(h, Collocated(k), declaration=declaration)
+        currents = instance.signal("observables")[place(list(model.observable_names), "gen.I")]
+        found.append(np.max(np.abs(currents - lumped(plant)[0](STOP))) / RATED)  # type: ignore[operator]
+        left = r["stored"] + r["dissipated"] - r["supplied"]
+        assert np.abs(left).max() <= 1e-13 * np.abs(r["dissipated"]).sum()
+    order = {1: 2, 2: 2, 3: 4}[k]  # the node is met at the nodes of the step only
+    assert found[1] <= {1: 5e-4, 2: 4e-4, 3: 4e-8}[k] and np.log2(found[0] / found[1]) == pytest.approx(order, abs=0.1)
 
 
 @pytest.mark.parametrize("k", [1, 2])
