@@ -49,6 +49,13 @@ from phfmu.declare.variable import algebraic as algebraic
 from phfmu.declare.variable import parameter as parameter
 from phfmu.declare.variable import state as state
 from phfmu.declare.variable import time as time
+from phfmu.derivatives.fit import Experiment as Experiment
+from phfmu.derivatives.fit import Fit as Fit
+from phfmu.derivatives.fit import fit as fit
+from phfmu.derivatives.modes import Eigenmode as Eigenmode
+from phfmu.derivatives.modes import Eigenmodes as Eigenmodes
+from phfmu.derivatives.modes import modes_at as modes_at
+from phfmu.derivatives.sensitive import SensitiveSteps as SensitiveSteps
 from phfmu.discretise.model import Model as Model
 from phfmu.discretise.model import build_model as build_model
 from phfmu.discretise.model import default_scheme as default_scheme

@@ -11,6 +11,7 @@ from math import inf
 from typing import TYPE_CHECKING, Any
 
 from phfmu.cli.options import lenient_of, scene_of, scheme_of
+from phfmu.cli.sensitivity import names_of, require_equal_steps, sensitive
 from phfmu.cli.settings import settings, with_settings
 from phfmu.cli.sound import require_sound_scene
 from phfmu.cli.stepping import (
@@ -86,9 +87,13 @@ def whole(args: argparse.Namespace, s: Scene, declaration: PHDAE, why: list[str]
 
             return FMUStepper(as_fmu(declaration, scheme, args.fmi, s.step if args.step is None else args.step))
         model = build_model(declaration, scheme)
-        return Monolithic(model, made.of(instance_of(model, engine, kernels, _steps(args, s))))
+        instance = made.of(instance_of(model, engine, kernels, _steps(args, s)))
+        return sensitive(args, model, instance) if names_of(args) else Monolithic(model, instance)
 
     head = label([scheme], f"{engine} engine", MONOLITHIC.name)
+    if derived := names_of(args):
+        head += f", with derivatives by {', '.join(derived)}"
+        require_equal_steps(args, engine)
     return Job(s, head, engine != "fmu", build, why, scheme.order, made)
 
 
@@ -418,6 +423,10 @@ def _require_whole(args: argparse.Namespace) -> None:
         raise ValueError(
             f"{args.target}: --audit-detail tells energies and resistors of one composed model by themselves; members that are "
             "stepped apart, and FMUs, tell their sums: take --coupling monolithic, or leave it out"
+        )
+    if names_of(args):
+        raise ValueError(
+            f"{args.target}: --sensitivity is for one composed model; take --coupling monolithic, or leave it out"
         )
 
 

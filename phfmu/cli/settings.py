@@ -16,13 +16,14 @@ if TYPE_CHECKING:
 def add_settings(parser: argparse.ArgumentParser) -> None:
     """--set NAME=VALUE."""
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE",
-                        help="parameter, start value of a state, or start of an input; may be repeated")  # fmt: skip
+                        help="parameter, start value of a state, or start of an input; @FILE: those of a file of phfmu fit; "
+                        "may be repeated")  # fmt: skip
 
 
 def settings(items: list[str]) -> dict[str, float]:
     """NAME=VALUE items; ValueError names the bad one, or two for one number."""
     out: dict[str, float] = {}
-    for item in items:
+    for item in _read(items):
         name, sign, text = item.partition("=")
         try:
             value = float(text)
@@ -37,6 +38,26 @@ def settings(items: list[str]) -> dict[str, float]:
             raise ValueError(f"--set {name} and --set {twice[0]} are for the same number; leave one of them out")
         out[name] = value
     return out
+
+
+def _read(items: list[str]) -> list[str]:
+    """The items, with those of files in the place of @FILE; ValueError for a file that has none."""
+    found = list[str]()
+    for item in items:
+        if not item.startswith("@"):
+            found.append(item)
+            continue
+        import json
+        from pathlib import Path
+
+        try:
+            values = json.loads(Path(item[1:]).read_text())["values"]
+            found += [f"{name}={float(value)!r}" for name, value in values.items()]
+        except (ValueError, KeyError, TypeError, AttributeError):
+            raise ValueError(
+                f"--set {item}: expected a file of phfmu fit -o, whose `values` are names and numbers"
+            ) from None
+    return found
 
 
 def with_settings(system: Any, values: dict[str, float]) -> Any:

@@ -5,16 +5,12 @@ A ledger is judged against the energies that vary; beside a constant of 1e12 J t
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.declare.observable import observable
 from phfmu.discretise.accounts import Accounts
-from phfmu.discretise.model import Model, build_model
-from phfmu.signals import CONSTANT, total
+from phfmu.discretise.model import Model
 from phfmu.terms.canonical import member
 
 
@@ -60,13 +56,3 @@ class Constants:
         chosen = [self._zero[i] if at_zero else self._start[i] if at_start else ca.SX(0)
                   for i, (at_zero, at_start) in enumerate(zip(zero, start, strict=True))]  # fmt: skip
         return ca.sum1(ca.vertcat(ca.SX(0), *chosen))
-
-
-def telling_constant(model: Model) -> Model:
-    """The model, with `energy.constant` among its observables where parameters can make such an energy, for a unit to tell."""
-    expression = Constants(model).expression
-    if expression.is_zero():
-        return model
-    told = observable(total(CONSTANT), expression, unit="J", description="stored energy that no state enters")
-    declaration = model.declaration
-    return build_model(replace(declaration, observables=(*declaration.observables, told)), model.scheme)

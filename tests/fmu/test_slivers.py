@@ -15,9 +15,9 @@ from phfmu.components.electrical.machines.dc_motor import dc_motor
 from phfmu.components.library import LIBRARY, RUNS, SWITCHED, build
 from phfmu.components.mechanical.four_particle import four_particle
 from phfmu.components.mechanical.heavy_top import heavy_top
-from phfmu.discretise.constant_energy import telling_constant
 from phfmu.fmu.export import sources
 from phfmu.fmu.export.description import Unit
+from phfmu.fmu.export.value_groups import telling_constant
 from phfmu.fmu.importer.reader import FMUInstance
 from tests.engines import ENGINES
 from tests.wide import slow

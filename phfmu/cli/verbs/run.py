@@ -70,6 +70,9 @@ def _add_outputs(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", "--output", metavar="FILE", help="result table, .csv or .parquet")
     parser.add_argument("--signals", action="append", default=[], metavar="PATTERN",
                         help="columns to keep, by name or pattern ('gen.*'); may be repeated (default: all)")  # fmt: skip
+    parser.add_argument("--sensitivity", metavar="NAME,NAME",
+                        help="columns d(SIGNAL)/d(NAME): derivatives by parameters, start values or held inputs; one composed "
+                        "model without state events, equal steps")  # fmt: skip
     parser.add_argument("--every", metavar="N|TIMEs",
                         help="rows to keep: every Nth, or one each 0.01s; the last row stays (default: all)")  # fmt: skip
     parser.add_argument(
@@ -102,6 +105,7 @@ def call(args: argparse.Namespace) -> int:
     from phfmu.cli.progress import Bar
     from phfmu.cli.sound import require_sound_scene
     from phfmu.cli.timeline import timeline
+    from phfmu.derivatives.names import derivative_name
     from phfmu.interrupt import Signals
     from phfmu.runs.loop import run
     from phfmu.target import is_fmu
@@ -111,7 +115,10 @@ def call(args: argparse.Namespace) -> int:
     chosen, scene, label = options.of_run(args, job.scene, whole=job.whole), job.scene, job.label
     stepper = job.build()
     events, rows, dropped = timeline(args, scene, stepper.settable())
-    chosen = replace(chosen, events=events, signals=tuple(args.signals), every=_every(args.every))
+    signals = tuple(args.signals)
+    if args.sensitivity and signals:
+        signals += (derivative_name("*", "*"),)
+    chosen = replace(chosen, events=events, signals=signals, every=_every(args.every))
     changes = [e for e in (*events, *_of_parameters(stepper, rows)) if e.t < chosen.stop]
     if changes and not is_fmu(args.target):
         require_sound_scene(args, scene, changes)

@@ -7,7 +7,6 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 
 from phfmu.declare.model_name import unwritable
-from phfmu.discretise.constant_energy import telling_constant
 from phfmu.discretise.model import Model, takes_model
 from phfmu.engine.build.compile import compile, host_target, suffix
 from phfmu.fmu.export import manifest, package, sources
@@ -15,6 +14,7 @@ from phfmu.fmu.export.description import Unit, build_description
 from phfmu.fmu.export.schedule import UnitEvent, in_order
 from phfmu.fmu.export.terminals import terminals as terminals_of
 from phfmu.fmu.export.unit_modes import unit_modes
+from phfmu.fmu.export.value_groups import telling_constant
 from phfmu.fmu.export.variables import FMUError
 from phfmu.fmu.version import VERSIONS, Version
 from phfmu.words import meant

@@ -1,19 +1,21 @@
-"""A group of variables: inputs of external ports at the nodes of a step, and the outputs conjugate to them.
+"""What a unit tells beside the quantities of its model.
 
-A group of variables: impulses of external ports at the ends of a step, what they change, and the energy of each pair.
-
-Only ports that take impulses have them; names and order are those of `engine/impulses.py`.
+Inputs of external ports at the nodes of a step and the outputs conjugate to them; impulses at its ends, what they change,
+and the energy of each pair, of ports that take some (names and order are those of `engine/impulses.py`); what is constant in H.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
+from phfmu.declare.observable import observable
 from phfmu.declare.units import parse_unit, unit_text
-from phfmu.discretise.model import Model
+from phfmu.discretise.constant_energy import Constants
+from phfmu.discretise.model import Model, build_model
 from phfmu.engine.impulses import PortKernels, port_kernels
 from phfmu.fmu.export.variables import FMUError
-from phfmu.signals import Quantity, entries, ordered_ports, pair_energies
+from phfmu.signals import CONSTANT, Quantity, entries, ordered_ports, pair_energies, total
 
 
 def require_nodes(model: Model) -> None:
@@ -112,3 +114,13 @@ def _per_impulse(output: str, given: str) -> str:
     y, s = parse_unit(output), parse_unit(_times_second(given))
     exponents = [a - b for a, b in zip(y.without_angle(), s.without_angle(), strict=True)]
     return unit_text(exponents, y.factor / s.factor)
+
+
+def telling_constant(model: Model) -> Model:
+    """The model, with `energy.constant` among its observables where parameters can make such an energy, for a unit to tell."""
+    expression = Constants(model).expression
+    if expression.is_zero():
+        return model
+    told = observable(total(CONSTANT), expression, unit="J", description="stored energy that no state enters")
+    declaration = model.declaration
+    return build_model(replace(declaration, observables=(*declaration.observables, told)), model.scheme)

@@ -230,9 +230,9 @@ def network_unit(network: Network, whole: Coupled, models: Sequence[Model], **op
 
 def coupled_members(network: Network, schemes: Mapping[str, Scheme]) -> tuple[Coupled, list[Model]]:
     """The members of a network, native ones of their schemes, under the Newton coupling, and their models.  FMUError."""
-    from phfmu.discretise.constant_energy import telling_constant
     from phfmu.discretise.model import build_model
     from phfmu.engine.native.native import NativeInstance
+    from phfmu.fmu.export.value_groups import telling_constant
     from phfmu.network.couplings.apart import Apart
     from phfmu.network.couplings.named import named_coupling
     from phfmu.network.members.engine_member import EngineMember

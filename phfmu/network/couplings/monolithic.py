@@ -235,8 +235,7 @@ class Monolithic:
         u = self._inputs.rows(n, inputs)
         given = u if self.followed is None else self._inputs.at_nodes(self.followed, u, self.model, t0, h, first)
         try:
-            rows = self.instance.run(t0, h, n, record=self.wanted(self.instance), inputs=given, first=first)
-            steps = self.steps_of(self.instance, rows)
+            steps = self.ran(self.instance, t0, h, n, first, given)
         except StepFailure as failure:
             done = len(failure.recorded.get("counts", ()))
             if done:
@@ -253,12 +252,15 @@ class Monolithic:
 
     def taken(self, instance: Any, t0: float, h: float, n: int, first: int = 0) -> Steps:
         """n steps of the instance or of a companion."""
-        wanted, given = self.wanted(instance), self._at_nodes(instance, t0, h, n, first)
         if self.between is None:
-            return self.steps_of(instance, instance.run(t0, h, n, record=wanted, inputs=given, first=first))
+            return self.ran(instance, t0, h, n, first, self._at_nodes(instance, t0, h, n, first))
         before = instance.row()
-        r = instance.run(t0, h, n, record=(*wanted, "unknowns"), first=first)
+        r = instance.run(t0, h, n, record=(*self.wanted(instance), "unknowns"), first=first)
         return self._filled(instance, before, r, np.asarray(t0 + h * (first + np.arange(n)), np.float64), np.full(n, h))
+
+    def ran(self, instance: Any, t0: float, h: float, n: int, first: int, inputs: Array | None) -> Steps:
+        """n steps of the instance, under inputs (n x nu, or n x k x nu) or those that it has."""
+        return self.steps_of(instance, instance.run(t0, h, n, record=self.wanted(instance), inputs=inputs, first=first))
 
     def _filled(self, instance: Any, before: Array, r: dict[str, Array], t: Array, h: Array) -> Steps:
         """Recorded steps, with rows within them if these are asked for."""

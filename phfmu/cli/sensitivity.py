@@ -1,0 +1,40 @@
+"""--sensitivity: derivatives of a run beside its columns."""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from phfmu.derivatives.sensitive import SensitiveSteps
+    from phfmu.discretise.model import Model
+
+
+def names_of(args: argparse.Namespace) -> list[str]:
+    """What is derived by; none without the option."""
+    text = getattr(args, "sensitivity", None)
+    return [n.strip() for n in text.split(",") if n.strip()] if text else []
+
+
+def require_equal_steps(args: argparse.Namespace, engine: str) -> None:
+    """ValueError for options that derivatives do not go with."""
+    odd = {
+        "--rtol": args.rtol, "--restart": args.restart, "--dense": args.dense,
+        "--audit-detail": args.audit_detail, "--engine fmu": engine == "fmu",
+    }  # fmt: skip
+    if found := [name for name, value in odd.items() if value]:
+        raise ValueError(
+            f"{args.target}: --sensitivity and {found[0]} do not go together: derivatives are told of equal steps of one model, "
+            "row by row"
+        )
+
+
+def sensitive(args: argparse.Namespace, model: Model, instance: Any) -> SensitiveSteps:
+    """The model stepped with derivatives of the columns that --signals keeps."""
+    from phfmu.derivatives.sensitive import SensitiveSteps
+    from phfmu.network.members.columns import Columns
+    from phfmu.pick import pick
+
+    names = Columns(model, instance.layout).names
+    chosen = pick(args.signals, names, args.target) if args.signals else None
+    return SensitiveSteps(model, instance, names_of(args), chosen)

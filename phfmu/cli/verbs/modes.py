@@ -1,0 +1,111 @@
+"""phfmu modes: eigenvalues of a model at a time of its run, with frequency, damping and the states that take part."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from phfmu.derivatives.modes import Eigenmodes
+
+#: modes that are printed without --all
+MOST = 24
+
+
+def add_parser(verbs: Any) -> None:
+    from phfmu.cli import options, stepping
+    from phfmu.cli.codes import TARGET
+    from phfmu.cli.settings import add_settings
+
+    parser = verbs.add_parser("modes", help="eigenvalues at a time: frequency, damping, states that take part")
+    parser.add_argument("target", help=TARGET)
+    parser.add_argument("--at", type=float, default=0.0, metavar="T", help="time of the run in s (default 0)")
+    parser.add_argument("--period", type=float, metavar="P",
+                        help="of the motion in s, 0.02 of a grid in phase quantities: modes of one period from T on")  # fmt: skip
+    parser.add_argument("--step", type=float, help="step in s (default: the scene's)")
+    options.add_scheme(parser)
+    stepping.add_engine(parser, stepping.ENGINES[:3])
+    add_settings(parser)
+    options.add_lenient(parser)
+    options.add_grid(parser)
+    parser.add_argument("--project", action="store_true", help="move an inconsistent start onto its constraints")
+    parser.add_argument("--all", action="store_true", help=f"all modes, not the {MOST} that decay most slowly")
+    parser.add_argument("-o", "--output", metavar="FILE", help="the modes as X.json")
+    parser.set_defaults(call=call)
+
+
+def call(args: argparse.Namespace) -> int:
+    from phfmu.cli.codes import FINE
+    from phfmu.cli.job import with_given
+    from phfmu.cli.options import scene_of, scheme_of
+    from phfmu.cli.settings import settings
+    from phfmu.cli.stepping import engine_of, instance_of
+    from phfmu.cli.timeline import started
+    from phfmu.derivatives.modes import modes_at
+    from phfmu.derivatives.tangents import require_smooth
+    from phfmu.discretise.model import build_model
+    from phfmu.network.couplings.monolithic import Monolithic
+    from phfmu.runs.loop import run
+    from phfmu.runs.options import Options
+
+    if args.output and not args.output.endswith(".json"):
+        raise ValueError(f"-o {args.output}: its name ends with .json")
+    if not args.at >= 0:
+        raise ValueError(f"--at {args.at:g} s must not be negative")
+    scene = with_given(args, scene_of(args))
+    declaration = scene.declaration()
+    model = build_model(declaration, scheme_of(args, declaration))
+    require_smooth(model)
+    step = scene.step if args.step is None else args.step
+    instance = instance_of(model, engine_of(args.engine), "auto", args.at / step + 1.0)
+    stepper = Monolithic(model, instance)
+    events, _ = started(scene.events, settings(args.set), stepper.settable())
+    until = [e for e in events if e.t <= args.at]
+    if args.at > 0:
+        run(stepper, Options(stop=args.at, step=step, events=until, project=args.project, audited=False))
+    else:
+        for e in until:
+            stepper.set_value(e.name, e.value)
+        if args.project:
+            stepper.project_start(0.0)
+        stepper.check_start()
+    found = modes_at(model, instance, args.at, step, args.period)
+    print("\n".join(_lines(args, found)))
+    if args.output:
+        Path(args.output).write_text(json.dumps(as_json(found), indent=2) + "\n")
+    return FINE
+
+
+def _lines(args: argparse.Namespace, found: Eigenmodes) -> list[str]:
+    from phfmu.derivatives.modes import names_of
+    from phfmu.words import counted
+
+    over = f"one step of {found.step:g} s" if found.period is None else f"one period of {found.period:g} s"
+    gone = f"; {counted(found.gone, 'direction')} that constraints leave nothing of" if found.gone else ""
+    lines = [f"{args.target}: {counted(len(found.modes), 'mode')} of {over} at t = {found.t:g} s{gone}", ""]
+    lines.append(f"{'Re s in 1/s':>14}{'Hz':>12}{'damping':>10}{'Re of the model':>17}{'Hz':>12}  states")
+    shown = found.modes if args.all else found.modes[:MOST]
+    for m in shown:
+        own = (f"{'':17}{'':12}" if m.model is None
+               else f"{m.model.real:17.6g}{abs(m.model.imag) / 6.283185307179586:12.6g}")  # fmt: skip
+        lines.append(f"{m.s.real:14.6g}{m.frequency:12.6g}{m.damping:10.4f}{own}  {names_of(m.shares)}")
+    if len(shown) < len(found.modes):
+        lines.append(f"and {len(found.modes) - len(shown)} more (--all)")
+    return lines
+
+
+def as_json(found: Eigenmodes) -> dict[str, Any]:
+    """The content of the file."""
+    return {
+        "t": found.t, "step": found.step, "period": found.period, "gone": found.gone,
+        "modes": [
+            {
+                "real": m.s.real, "imag": m.s.imag, "frequency": m.frequency, "damping": m.damping,
+                "model": None if m.model is None else [m.model.real, m.model.imag],
+                "participation": dict(m.shares),
+            }
+            for m in found.modes
+        ],
+    }  # fmt: skip

@@ -1,0 +1,311 @@
+"""A plan as one function of CasADi, with its sparse Jacobians, evaluated for many points at a time.
+
+With x = [states | t], unknowns w, inputs u at the nodes, parameters p and the step length h,
+
+    F(x, w, u, p, h) = 0,     told = T(x, w, u, p, h),
+
+F being the residual of the plan and T what the engines tell of its solution.  Along the directions theta of (p, u) asked for
+
+    dw = W_x dx + W_theta dtheta = -(dF/dw)^-1 (F_x dx + F_theta dtheta),     dT = T_x dx + T_w dw + T_theta dtheta.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from phfmu.plan.buffered import Buffered
+from phfmu.plan.plan import Group, Plan
+
+Array = NDArray[np.float64]
+
+#: up to so many unknowns the matrices of many points are factored at once, as full ones
+FULL = 160
+#: numbers that are held at a time, at most
+ROOM = 4_000_000
+
+
+@dataclass(frozen=True)
+class Directions:
+    """Scalars to derive by: places among the parameters, and among the inputs, which are held over a step."""
+
+    parameters: tuple[int, ...]
+    inputs: tuple[int, ...]
+
+    @property
+    def n(self) -> int:
+        return len(self.parameters) + len(self.inputs)
+
+
+@dataclass(frozen=True)
+class Point:
+    """Where a plan is looked at, a row a point: x (n x nx + 1), w (n x nw), u (n x k nu), p (n x np), h (n)."""
+
+    x: Array
+    w: Array
+    u: Array
+    p: Array
+    h: Array
+
+
+@dataclass(frozen=True)
+class Response:
+    """Per point: dw (n x nw x nx + directions), the derivative of what is told (n x told x nx + directions)."""
+
+    w: Array
+    told: Array
+
+
+class PlanFunction:
+    """F and T of a plan; `told` chooses from `Rows` what T is."""
+
+    def __init__(self, plan: Plan, told: Callable[[Rows], ca.SX], directions: Directions):
+        self.plan, self._rows = plan, Rows(plan)
+        self._told, self._directions = told(self._rows), directions
+        self.ntold = self._told.numel()
+
+    @property
+    def _arguments(self) -> list[ca.SX]:
+        r = self._rows
+        return [r.x, r.w, r.u, r.p, r.h]
+
+    @cached_property
+    def _along(self) -> _Mapped:
+        r, plan, d = self._rows, self.plan, self._directions
+        held = [ca.vertcat(*(r.u[i * plan.nu + j] for i in range(plan.k))) for j in d.inputs]
+
+        def by(expr: ca.SX) -> ca.SX:
+            columns = [ca.jacobian(expr, r.x[: plan.nx]), ca.jacobian(expr, r.p[list(d.parameters)])]
+            columns += [ca.sum2(ca.jacobian(expr, u)) for u in held]
+            return ca.horzcat(*columns)
+
+        F, T = r.residual, self._told
+        return _Mapped(self._arguments, [ca.jacobian(F, r.w), by(F), ca.jacobian(T, r.w), by(T)])
+
+    @cached_property
+    def _residual(self) -> _Mapped:
+        return _Mapped(self._arguments, [self._rows.residual, ca.jacobian(self._rows.residual, self._rows.w)])
+
+    def response(self, at: Point) -> Response:
+        """Derivatives of the solution w at each point, and of what is told of it."""
+        plan, n = self.plan, len(at.h)
+        width = plan.nx + self._directions.n
+        w, told = np.zeros((n, plan.nw, width)), np.zeros((n, self.ntold, width))
+        size = max(1, plan.nw * (min(plan.nw, FULL) + width) + self.ntold * (plan.nw + width))
+        for some in _parts(n, max(1, ROOM // size)):
+            A, F, T_w, T = self._along.at(at, some)
+            w[some] = -_solved(A, F.full())
+            told[some] = T.full() + T_w.times(w[some])
+        return Response(w, told)
+
+    def solved(self, at: Point, most: int = 20) -> Array:
+        """Unknowns that solve F = 0, by Newton's method from `at.w`; ValueError where it does not converge."""
+        w = at.w.copy()
+        if not self.plan.nw:
+            return w
+        scale = np.maximum(np.abs(w).max(axis=0, initial=0.0), np.abs(self.plan.nominal))
+        for some in _parts(len(w), max(1, ROOM // self.plan.nw**2)):
+            before = np.inf
+            for _ in range(most):
+                F, A = self._residual.at(Point(at.x, w, at.u, at.p, at.h), some)
+                move = _solved(A, F.full())[:, :, 0]
+                w[some] -= move
+                size = float(np.max(np.abs(move) / np.maximum(scale, 1e-300), initial=0.0))
+                if size <= 1e-13 or (size <= 1e-9 and size > 0.3 * before):
+                    break
+                before = size
+            else:
+                raise ValueError(f"the values at an instant do not converge (last move {before:.3g} of their size)")
+        return w
+
+
+class Rows:
+    """The residual of a plan and what is told beside it, in symbols x, w, u, p and h."""
+
+    def __init__(self, plan: Plan):
+        self.plan = plan
+        self.x, self.w = ca.SX.sym("x", plan.nx + 1), ca.SX.sym("w", plan.nw)
+        self.u, self.p, self.h = ca.SX.sym("u", plan.nu * plan.k), ca.SX.sym("p", plan.np), ca.SX.sym("h")
+        resting = [int(i) for i in plan.hold.of(plan.hold.rests)]
+        w = ca.SX(self.w)
+        w[resting] = 0.0
+        staged = [[g for g in plan.groups if g.stage == stage] for stage in (0, 1)]
+        begun = ca.vertcat(w, self.u, self.h)
+        Z = self._sums(staged[0], ca.vertcat(begun, ca.SX.zeros(plan.nz)), plan.nz)
+        Y = ca.vertcat(begun, Z)
+        R = self._sums(staged[1], Y, plan.nrow)
+        for row, source, value, power in zip(
+            plan.const_row, plan.const_src, plan.const_val, plan.const_pow, strict=True
+        ):
+            R[int(row)] += value * self.h ** int(power) * Y[int(source)]
+        for i in resting:
+            R[i] = self.w[i]
+        if plan.ncondensed:
+            Y[Y.numel() - plan.ncondensed :] = R[plan.nrow - plan.ncondensed :]
+        self.Y, self.R = Y, R
+
+    @property
+    def residual(self) -> ca.SX:
+        return self.R[: self.plan.nw]
+
+    @property
+    def outputs(self) -> ca.SX:
+        """Outputs of the pairs, mean over the step (nq)."""
+        return _total(self.plan.nq, [(i, b * y) for i, b, y, _ in self._pairs()])
+
+    @property
+    def work(self) -> ca.SX:
+        """Energy that enters through each pair in the step (nq)."""
+        plan = self.plan
+        own = [(i, self.h * b * y * u) for i, b, y, u in self._pairs()]
+        own += [(int(j), self.R[int(r)]) for j, r in zip(plan.work_pair, plan.work_row, strict=True)]
+        return _total(plan.nq, own)
+
+    def _pairs(self) -> list[tuple[int, float, ca.SX, ca.SX]]:
+        """(pair, weight, output, input) at each node."""
+        plan = self.plan
+        return [
+            (
+                i,
+                float(plan.weights[node]),
+                self.R[plan.nw + node * plan.nq + i],
+                self.Y[int(plan.pair_src[node * plan.nq + i])],
+            )
+            for node in range(plan.k)
+            for i in range(plan.nq)
+        ]
+
+    @property
+    def reported(self) -> ca.SX:
+        """Rows that are told beside outputs: observables and residuals of hidden constraints."""
+        return self.R[self.plan.nw + self.plan.nq * self.plan.k :]
+
+    @property
+    def algebraics(self) -> ca.SX:
+        """Algebraic variables (na)."""
+        plan = self.plan
+        table = zip(plan.mean_a, plan.mean_w, plan.mean_c, plan.mean_pow, strict=True)
+        return _total(plan.na, [(int(a), c * self.h ** int(q) * self.Y[int(w)]) for a, w, c, q in table])
+
+    def energies(self, result: int) -> ca.SX:
+        """By component (ncomp): what is stored (0: in a step its change), or the rate of loss (1)."""
+        found = []
+        for g in self.plan.groups:
+            if g.kernel.ledger is not None:
+                f = _result(g.kernel.ledger, result)
+                found += [(int(g.owner[i]), f(*self._taken(g, i, self.Y))) for i in range(g.n)]
+        return _total(self.plan.ncomp, found)
+
+    def _taken(self, g: Group, i: int, Y: ca.SX) -> list[ca.SX]:
+        """Arguments of an instance of a kernel."""
+        sources = zip((self.x, Y, self.p), (g.xi, g.yi, g.pi), strict=True)
+        return [source[[int(j) for j in index[i]]] if index.shape[1] else ca.SX(0, 1) for source, index in sources]
+
+    def _sums(self, groups: Sequence[Group], Y: ca.SX, n: int) -> ca.SX:
+        found = []
+        for g in groups:
+            f, power = _result(g.kernel.function, 0), np.broadcast_to(g.power, g.oi.shape)
+            for i in range(g.n):
+                out = f(*self._taken(g, i, Y))
+                found += [(int(g.oi[i, j]), self.h ** int(power[i, j]) * out[j]) for j in range(out.numel())]
+        return _total(n, found)
+
+
+def _result(function: Any, i: int) -> Any:
+    """A kernel with one of its results."""
+    arguments = function.sx_in()
+    return ca.Function("part", arguments, [ca.densify(function.call(arguments)[i])])
+
+
+def _total(n: int, parts: Sequence[tuple[int, ca.SX]]) -> ca.SX:
+    """A column of n sums."""
+    found = ca.SX.zeros(n)
+    for i, value in parts:
+        found[i] += value
+    return found
+
+
+@dataclass(frozen=True)
+class _Matrices:
+    """A sparse matrix at each of n points: entries (n x nnz)."""
+
+    shape: tuple[int, int]
+    row: NDArray[np.intp]
+    col: NDArray[np.intp]
+    values: Array
+
+    def full(self) -> Array:
+        found = np.zeros((len(self.values), *self.shape))
+        found[:, self.row, self.col] = self.values
+        return found
+
+    def times(self, b: Array) -> Array:
+        """Their products with matrices b (n x columns x width)."""
+        found = np.zeros((len(b), self.shape[0], b.shape[2]))
+        if self.shape[1] <= FULL:
+            return np.matmul(self.full(), b)
+        for row, col, values in zip(self.row, self.col, self.values.T, strict=True):
+            found[:, row] += values[:, None] * b[:, col]
+        return found
+
+
+class _Mapped:
+    """Expressions of the arguments of a plan at many points."""
+
+    def __init__(self, arguments: list[ca.SX], results: list[ca.SX]):
+        self._function = ca.Function("at", arguments, ca.cse([ca.SX(r) for r in results]))
+        self._buffers: dict[int, Buffered] = {}
+
+    def at(self, at: Point, some: slice) -> list[_Matrices]:
+        """The results at some of the points."""
+        f, given = self._function, (at.x, at.w, at.u, at.p, at.h[:, None])
+        n = len(at.h[some])
+        if n not in self._buffers:
+            argument = [np.zeros((n, f.nnz_in(i))) for i in range(f.n_in())]
+            self._buffers[n] = Buffered(f, argument, [np.zeros((n, f.nnz_out(i))) for i in range(f.n_out())])
+        buffer = self._buffers[n]
+        for own, values in zip(buffer.arg, given, strict=True):
+            own[:] = values[some]
+        buffer.call()
+        found = []
+        for i, values in enumerate(buffer.res):
+            sparsity = f.sparsity_out(i)
+            row, col = (np.array(t, np.intp) for t in sparsity.get_triplet())
+            found.append(_Matrices(sparsity.shape, row, col, values.copy()))
+        return found
+
+
+def _parts(n: int, most: int) -> list[slice]:
+    return [slice(i, min(i + most, n)) for i in range(0, n, most)]
+
+
+def _solved(A: _Matrices, b: Array) -> Array:
+    """A^-1 b at each point, rows scaled, with one step of refinement."""
+    if not A.shape[0] or not b.shape[2]:
+        return np.zeros_like(b)
+    if A.shape[0] > FULL:
+        return np.array([_solved_sparse(A, values, own) for values, own in zip(A.values, b, strict=True)])
+    full = A.full()
+    scale = 1.0 / np.maximum(np.abs(full).max(axis=2, keepdims=True), 1e-300)
+    full, b = full * scale, b * scale
+    found = np.linalg.solve(full, b)
+    return found + np.linalg.solve(full, b - np.matmul(full, found))
+
+
+def _solved_sparse(A: _Matrices, values: Array, b: Array) -> Array:
+    from scipy.sparse import csc_matrix
+    from scipy.sparse.linalg import splu
+
+    scale = np.zeros(A.shape[0])
+    np.maximum.at(scale, A.row, np.abs(values))
+    scale = 1.0 / np.maximum(scale, 1e-300)
+    matrix = csc_matrix((values * scale[A.row], (A.row, A.col)), shape=A.shape)
+    factor, b = splu(matrix), b * scale[:, None]
+    found = factor.solve(b)
+    return found + factor.solve(b - matrix @ found)

@@ -1,0 +1,178 @@
+"""A composed model stepped with derivatives: beside each column `s` of a run stand columns `d(s)/d(name)`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phfmu.derivatives.names import derivative_name
+from phfmu.derivatives.tangents import By, Taken, Tangents, of_quantities
+from phfmu.discretise.model import Model
+from phfmu.discretise.start import Projection
+from phfmu.network.couplings.monolithic import Monolithic
+from phfmu.network.members.inputs import Inputs
+from phfmu.network.scene import Event
+from phfmu.outcome.steps import Steps
+from phfmu.schemes.scheme import Scheme
+from phfmu.signals import Quantity, SignalKind, quantities
+
+Array = NDArray[np.float64]
+
+
+class SensitiveSteps(Monolithic):
+    """Steps of one composed model, each row with its derivatives by parameters, held inputs or start values `by`.
+
+    `signals`: which columns are derived (default: all).  Parameters that an event sets count up to there.
+    Errors: KeyError for names that are none; ValueError for models and steps without derivatives, with the remedy.
+    """
+
+    def __init__(self, model: Model, instance: Any, by: Sequence[str], signals: Sequence[str] | None = None):
+        super().__init__(model, instance)
+        self.by = By.of(model.declaration, by)
+        known = {q.name: q for q in quantities(model)}
+        self.derived: list[Quantity] = [known[n] for n in self.names if signals is None or n in signals]
+        self._tangents = Tangents(model, self.by)
+        self.names = [*self.names, *(derivative_name(q.name, n) for q in self.derived for n in self.by.names)]
+        #: states after the last step, None before the first one;  derivatives of the last row
+        self._last: Array | None = None
+        self._row = np.zeros(0)
+        #: states that the start was given, before a projection
+        self._given = instance.x[: model.step.nx].copy()
+
+    def begin(self, values: Mapping[str, float]) -> None:
+        """Back to the start, with other parameters, start values or held inputs, by scalar name."""
+        i, d = self.instance, self.model.declaration
+        i.reset()
+        self._inputs = Inputs(i, self.model)
+        p, x = i.parameters.copy(), self.model.x0.copy()
+        states = {n: j for j, n in enumerate(n for v in d.states for n in v.names())}
+        for name, value in values.items():
+            if name in states:
+                x[states[name]] = value
+            elif name in self._inputs.parameters:
+                p[self._inputs.parameters[name]] = value
+            else:
+                self._inputs.u[self._inputs.inputs[name]] = value
+        i.set_parameters(p)
+        i.set_input(self._inputs.u)
+        i.set_x(self.model.t0, x)
+        i.initialise()
+        self._given, self._last = x, None
+        self._tangents.reset()
+
+    @property
+    def units(self) -> dict[str, str]:
+        own = super().units
+        d = self.model.declaration
+        given = super().units | {n: v.unit for v in (*d.parameters, *d.states) for n in v.names()}
+        return own | {
+            derivative_name(q.name, n): _quotient(own.get(q.name, "1"), given.get(n, "1"))
+            for q in self.derived
+            for n in self.by.names
+        }
+
+    @property
+    def kinds(self) -> dict[str, SignalKind]:
+        own = super().kinds
+        more: dict[str, SignalKind] = {
+            derivative_name(q.name, n): own[q.name] for q in self.derived for n in self.by.names
+        }
+        return own | more
+
+    # -- values ------------------------------------------------------------------------------------------------------
+
+    def set_value(self, name: str, value: float) -> str:
+        kind = super().set_value(name, value)
+        if self._last is not None:
+            self._tangents.cut([name])
+        return kind
+
+    def project_start(self, t0: float, kept: Sequence[str] = ()) -> Projection | None:
+        """As of `Monolithic`; ValueError with states that are kept, which the tangents of a start do not know."""
+        if kept and self._last is None:
+            raise ValueError(f"{self.model.name}: derivatives and --keep {kept[0]} do not go together")
+        return super().project_start(t0, kept)
+
+    def read(self) -> Array:
+        """Values of `names` now."""
+        own = super().read()
+        if self._last is None:
+            i = self.instance
+            x, u, p = i.x[: self.model.step.nx].copy(), self._inputs.u.copy(), i.parameters.copy()
+            blocks = self._tangents.at_start(i.time, self._given, x, u, p, i.signal("a_end").copy())
+            self._row = self._derived(blocks)[0]
+        return np.concatenate([own, self._row])
+
+    def _derived(self, blocks: dict[str, Array]) -> Array:
+        """The derivative columns of rows (n x columns)."""
+        found = of_quantities(self.derived, blocks, self.by)
+        return found.reshape(len(found), -1)
+
+    # -- steps -------------------------------------------------------------------------------------------------------
+
+    def wanted(self, instance: Any) -> tuple[str, ...]:
+        known = super().wanted(instance)
+        return known if "unknowns" in known else (*known, "unknowns")
+
+    def companion(self, scheme: Scheme) -> Any:
+        """ValueError: damping steps and steps of several sizes have no derivatives."""
+        raise ValueError(f"{self.model.name}: derivatives are told of equal steps; leave out --restart and --rtol")
+
+    def advance_with(self, inputs: Sequence[tuple[int, Event]], t0: float, h: float, n: int, first: int = 0) -> Steps:
+        """As of `Monolithic`; ValueError where an input changes that is derived by."""
+        followed = () if self.followed is None else self.followed.names
+        for name in dict.fromkeys([*(e.name for _, e in inputs), *followed]):
+            if clash := [n for n in self.by.names if n == name or n.partition("[")[0] == name]:
+                raise ValueError(
+                    f"{self.model.name}: {clash[0]} is set within the run, by an event or by data, so that there is no one "
+                    "value of it to be derived by"
+                )
+        return super().advance_with(inputs, t0, h, n, first)
+
+    def ran(self, instance: Any, t0: float, h: float, n: int, first: int, inputs: Array | None) -> Steps:
+        self._require_continued(t0 + first * h)
+        u = self._inputs.u.copy()
+        r = instance.run(t0, h, n, record=self.wanted(instance), inputs=inputs, first=first)
+        starts = np.asarray(t0 + h * (first + np.arange(n)), np.float64)
+        return self._with_derivatives(instance, r, starts, h, u, inputs)
+
+    def _require_continued(self, t: float) -> None:
+        """ValueError where states were moved between two steps."""
+        x = self.instance.x[: self.model.step.nx]
+        if self._last is not None and not np.array_equal(x, self._last):
+            raise ValueError(
+                f"{self.model.name}: states were moved at t = {t:.9g} s (a projection after an event), which derivatives do "
+                "not follow; let the event keep the constraints"
+            )
+        self._last = x.copy()
+
+    def _with_derivatives(
+        self, instance: Any, r: dict[str, Array], t: Array, h: float, u: Array, inputs: Array | None
+    ) -> Steps:
+        """The record of steps from the times t, with the derivatives of their rows; `u`: inputs that are held throughout."""
+        plan, n = self.model.step, len(t)
+        if (divided := np.flatnonzero(r["counts"][:, 1] > 1)).size:
+            raise ValueError(
+                f"{self.model.name}: the step at t = {t[divided[0]]:.9g} s was taken in parts, of which derivatives know the "
+                f"last one only; take shorter steps than --step {h:g}"
+            )
+        given = np.broadcast_to(u, (n, plan.nu)) if inputs is None else np.asarray(inputs)
+        given = np.repeat(given[:, None], plan.k, axis=1) if given.ndim == 2 else given
+        layout = instance.layout
+        x, a_end = (r["signals"][:, layout[block]] for block in ("x", "a_end"))
+        assert self._last is not None
+        before = np.vstack([self._last[None], x[:-1]])
+        steps = Taken(t, h, before, x, r["unknowns"], given.reshape(n, -1), instance.parameters.copy(), a_end)
+        rows = self._derived(self._tangents.over(steps))
+        self._last, self._row = x[-1].copy(), rows[-1]
+        found = self.steps_of(instance, r)
+        return replace(found, signals=np.hstack([found.signals, rows]))
+
+
+def _quotient(over: str, under: str) -> str:
+    """The unit of a derivative."""
+    return over if under == "1" else f"{'1' if over == '1' else over}/({under})"

@@ -1,0 +1,233 @@
+"""Tangents of a run: derivatives of all rows by parameters, start values and held inputs, along with the steps.
+
+The state has the tangents S = dx/dtheta (nx x directions).  A step x1 = x0 + U w with F(x0, w, u, p, h) = 0 moves them to
+
+    S1 = S0 + U dw,     dw = W_x S0 + W_theta,
+
+and what is told of the step or at its end follows from them as the values do.  The derivative is that of the solution of F, to
+the accuracy to which steps are solved.
+
+Source: implicit function theorem on the step; docs/understand/derivatives.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from phfmu.declare.phdae import PHDAE
+from phfmu.derivatives.plan_function import Directions, PlanFunction, Point, Rows
+from phfmu.discretise.model import Model
+from phfmu.signals import Quantity
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class By:
+    """What a run is derived by: scalar names in their order, each a parameter, an input or the start of a state."""
+
+    names: tuple[str, ...]
+    directions: Directions
+    #: column of each direction, and of the start of each state: (state, column)
+    columns: tuple[int, ...]
+    starts: tuple[tuple[int, int], ...]
+
+    @staticmethod
+    def of(declaration: PHDAE, names: Sequence[str]) -> By:
+        """Vectors stand for all their entries.  KeyError names what is no parameter, input or state."""
+        d = declaration
+        p = [n for v in d.parameters for n in v.names()]
+        u = [n for q in d.ports if q.external and not q.signal for n in q.input_names()]
+        x = [n for v in d.states for n in v.names()]
+        whole = {v.name: v.names() for v in (*d.parameters, *d.states)}
+        whole |= {n.partition("[")[0]: q.input_names() for q in d.ports if q.external for n in q.input_names()}
+        scalars = list(dict.fromkeys(n for name in names for n in whole.get(name, [name])))
+        if lost := [n for n in scalars if n not in (*p, *u, *x)]:
+            raise KeyError(d.unknown_name(lost[0]))
+        if modes := [n for n in scalars if n in d.modes]:
+            raise KeyError(f"{d.name}: '{modes[0]}' is a mode that state events set; there is no derivative by it")
+        of_p, of_u = ([n for n in scalars if n in set(some)] for some in (p, u))
+        directions = Directions(tuple(p.index(n) for n in of_p), tuple(u.index(n) for n in of_u))
+        starts = tuple((x.index(n), scalars.index(n)) for n in scalars if n in set(x))
+        return By(tuple(scalars), directions, tuple(scalars.index(n) for n in (*of_p, *of_u)), starts)
+
+    def spread(self, along: Array) -> Array:
+        """Derivatives by the directions (.. x directions) as such by all names (.. x names)."""
+        found = np.zeros((*along.shape[:-1], len(self.names)))
+        found[..., list(self.columns)] = along
+        return found
+
+
+@dataclass(frozen=True)
+class Taken:
+    """Steps that were taken: start times (n) and the length, states before (n x nx) and after, unknowns, inputs (n x k nu),
+    parameters, algebraic variables at their ends (n x na)."""
+
+    t: Array
+    h: float
+    before: Array
+    after: Array
+    w: Array
+    u: Array
+    p: Array
+    a_end: Array
+
+
+#: what is told of a step and at an instant, by the block of a row, each one after the other
+OF_STEP, OF_INSTANT = ("a", "y_step", "energy", "dissipated"), ("a_end", "y_end", "observables", "H")
+
+
+class Tangents:
+    """The tangents of a run of `model`, from its start on; ValueError names what has none."""
+
+    def __init__(self, model: Model, by: By):
+        require_smooth(model)
+        self.model, self.by = model, by
+        step, instant = model.step, model.instant
+        self._step = PlanFunction(step, _told_of_step, by.directions)
+        self._instant = PlanFunction(instant, _told_of_instant, by.directions)
+        self._of_step = _places(OF_STEP, (step.na, step.nq, step.nq, step.ncomp))
+        self._of_instant = _places(OF_INSTANT, (instant.na, instant.nq, instant.nobs, instant.ncomp))
+        self._U = np.zeros((step.nx, step.nw))
+        np.add.at(self._U, (step.update_x, step.update_w), step.update_c)
+        self.reset()
+
+    def reset(self) -> None:
+        """Before the start."""
+        step, n = self.model.step, len(self.by.names)
+        #: which directions still act: a parameter that an event has set does no longer
+        self._acts = np.ones(n)
+        self.S = np.zeros((step.nx, n))
+        self._sums = {"energy": np.zeros((step.nq, n)), "dissipated": np.zeros((step.ncomp, n))}
+
+    def cut(self, names: Sequence[str]) -> None:
+        """Values of parameters or inputs that are set from now on do not follow those of the start."""
+        for name in names:
+            for i, own in enumerate(self.by.names):
+                if own == name or own.partition("[")[0] == name:
+                    if i in self.by.columns:
+                        self._acts[i] = 0.0
+
+    def at_start(self, t: float, given: Array, x: Array, u: Array, p: Array, a_end: Array) -> dict[str, Array]:
+        """Blocks of the first row: name -> (1 x entries x names); `given`: states, of which x is the projection."""
+        self.S = self._start(t, given, p)
+        point = (np.array([t]), x[None], u[None], p, a_end[None])
+        found = self._at_instants(point, self.S[None])
+        blocks = {"x": self.S[None].copy(), **found}
+        blocks |= {"a": found["a_end"], "y_step": found["y_end"]}
+        return self._with_sums(blocks, {n: s[None] for n, s in self._sums.items()})
+
+    def _start(self, t: float, x: Array, p: Array) -> Array:
+        """Tangents of the start, which stays on its constraints."""
+        S, along = np.zeros((len(x), len(self.by.names))), np.zeros((len(p), len(self.by.names)))
+        for state, column in self.by.starts:
+            S[state, column] = 1.0
+        for parameter, column in zip(self.by.directions.parameters, self.by.columns, strict=False):
+            along[parameter, column] = 1.0
+        if not self.model.checks:
+            return S
+        from phfmu.derivatives.starts import consistent
+
+        for column in range(S.shape[1]):
+            S[:, column] = consistent(self.model, x, p, t, S[:, column], along[:, column])
+        return S
+
+    def over(self, steps: Taken) -> dict[str, Array]:
+        """Blocks of the rows at the ends of steps that go on from those before: name -> (n x entries x names)."""
+        model, n, nx = self.model, len(steps.t), self.model.step.nx
+        x, h = np.column_stack([steps.before, steps.t]), np.full(n, steps.h)
+        p = np.broadcast_to(steps.p, (n, len(steps.p)))
+        found = self._step.response(Point(x, steps.w, steps.u, p, h))
+        own = self.by.spread(found.w[:, :, nx:]) * self._acts
+        told = self.by.spread(found.told[:, :, nx:]) * self._acts
+        S, rows = np.zeros((n, nx, len(self.by.names))), np.zeros((n, *told.shape[1:]))
+        for i in range(n):
+            rows[i] = found.told[i, :, :nx] @ self.S + told[i]
+            self.S = self.S + self._U @ (found.w[i, :, :nx] @ self.S + own[i])
+            S[i] = self.S
+        blocks = {name: rows[:, place] for name, place in self._of_step.items()}
+        nu = model.step.nu
+        u = steps.u.reshape(n, model.step.k, nu)
+        last = np.array(model.scheme.nodes.value(1.0)) if model.step.k > 1 else np.ones(1)
+        ends = np.einsum("k,nku->nu", last, u) if nu else np.zeros((n, 0))
+        blocks |= self._at_instants((steps.t + steps.h, steps.after, ends, steps.p, steps.a_end), S) | {"x": S}
+        sums = {}
+        for name, start in self._sums.items():
+            sums[name] = start + np.cumsum(blocks.pop(name), axis=0)
+            self._sums[name] = sums[name][-1]
+        return self._with_sums(blocks, sums)
+
+    def _with_sums(self, blocks: dict[str, Array], sums: dict[str, Array]) -> dict[str, Array]:
+        """Energies since the start: through pairs, lost, and supplied by component."""
+        plan, (n, _, width) = self.model.step, sums["energy"].shape
+        supplied = np.zeros((n, plan.ncomp, width))
+        for pair, owner in enumerate(plan.pair_owner):
+            supplied[:, owner] += sums["energy"][:, pair]
+        nothing = {name: np.zeros((n, plan.ncomp, width)) for name in ("residual", "gap")}
+        return blocks | sums | {"supplied": supplied} | nothing
+
+    def _at_instants(self, point: tuple[Array, Array, Array, Array, Array], S: Array) -> dict[str, Array]:
+        """Blocks at instants (t, x, u, p, algebraic variables) with tangents S (n x nx x names) of the states."""
+        t, x, u, p, a = point
+        plan, n = self.model.instant, len(t)
+        w = np.zeros((n, plan.nw))
+        w[:, plan.mean_w] = a[:, plan.mean_a]
+        at = Point(np.column_stack([x, t]), w, u, np.broadcast_to(p, (n, len(p))), np.ones(n))
+        at = Point(at.x, self._instant.solved(at), at.u, at.p, at.h)
+        found = self._instant.response(at).told
+        nx = plan.nx
+        rows = np.matmul(found[:, :, :nx], S) + self.by.spread(found[:, :, nx:]) * self._acts
+        return {name: rows[:, place] for name, place in self._of_instant.items()}
+
+
+def of_quantities(quantities: Sequence[Quantity], blocks: dict[str, Array], by: By) -> Array:
+    """Derivatives of quantities (n x quantities x names) from those of the blocks."""
+    n, width = len(blocks["x"]), len(by.names)
+    found = np.zeros((n, len(quantities), width))
+    for i, q in enumerate(quantities):
+        if q.block in blocks:
+            found[:, i] = blocks[q.block][:, q.first : q.first + q.count].sum(axis=1)
+        elif q.block == "input" and q.name in by.names:
+            found[:, i, by.names.index(q.name)] = 1.0
+    return found
+
+
+def require_smooth(model: Model) -> None:
+    """ValueError for what has no tangents here."""
+    d = model.declaration
+    if d.state_events or d.switches:
+        names = [e.guard.name for e in d.state_events][:3] or ["ideal switches"]
+        raise ValueError(
+            f"{d.name} has state events ({', '.join(names)}), whose instants move with the parameters; derivatives are told of "
+            "models without them"
+        )
+    if model.step.carries or model.loses_energy:
+        raise ValueError(
+            f"{d.name}: scheme {model.scheme.name} has no derivatives here; take --scheme collocated or two-level"
+        )
+    if model.step.hold.rests.any():
+        raise ValueError(
+            f"{d.name} has redundant constraints ({', '.join(model.hold_names[:3])}), whose multipliers are not unique; "
+            "remove them for derivatives (phfmu check names them)"
+        )
+
+
+def _told_of_step(rows: Rows) -> ca.SX:
+    return ca.vertcat(rows.algebraics, rows.outputs, rows.work, rows.h * rows.energies(1))
+
+
+def _told_of_instant(rows: Rows) -> ca.SX:
+    return ca.vertcat(rows.algebraics, rows.outputs, rows.reported, rows.energies(0))
+
+
+def _places(names: Sequence[str], sizes: Sequence[int]) -> dict[str, slice]:
+    found, start = {}, 0
+    for name, size in zip(names, sizes, strict=True):
+        found[name] = slice(start, start + size)
+        start += size
+    return found

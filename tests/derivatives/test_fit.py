@@ -1,0 +1,116 @@
+"""Fits of parameters to measurements: recovered values, their standard errors, what the data cannot tell, the command."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import phfmu as ph
+from phfmu import NativeInstance, Options, build_model, run
+from phfmu.cli import main
+from phfmu.components.library import build
+from phfmu.derivatives.fit import Experiment, fit
+from phfmu.network.couplings.monolithic import Monolithic
+from phfmu.results.table import Table
+from tests.wide import wide
+
+pytestmark = pytest.mark.usefixtures("compiler")
+
+NOISE, STEP, STOP = 0.02, 1e-3, 0.2
+MEASURED = ["terminal.i", "shaft.speed"]
+
+
+def measured(seed: int, every: int = 1, voltage: float = 12.0) -> Table:
+    """The current and speed of the motor at its own parameters, with noise of 2 % of their largest size."""
+    model = build_model(build("dc_motor"), ph.Collocated(2))
+    stepper = Monolithic(model, NativeInstance(model))
+    stepper.set_value("terminal.v", voltage)
+    r = run(stepper, Options(stop=STOP, step=STEP))
+    columns = np.column_stack([r.column(m) for m in MEASURED])[::every]
+    noise = NOISE * np.abs(columns).max(axis=0) * np.random.default_rng(seed).normal(size=columns.shape)
+    return Table(MEASURED, r.time[::every], columns + noise, ["A", "rad/s"])
+
+
+def fitted(data: list[Table], start: dict[str, float], free: list[str], **more: Any) -> Any:
+    model = build_model(build("dc_motor").with_starts(start), ph.Collocated(2))
+    values = more.pop("values", [{"terminal.v": 12.0}] * len(data))
+    options = Options(stop=STOP, step=STEP)
+    own = [Experiment(str(i), d, options, v) for i, (d, v) in enumerate(zip(data, values, strict=True))]
+    return fit(model, NativeInstance(model), own, free, MEASURED, **more)
+
+
+@pytest.mark.parametrize("seed", wide(list(range(12)), 0, 1))
+def test_values_come_back_within_their_errors(seed: int) -> None:
+    """From starts that are 40 % off; the residual is the noise, and nothing is left in it."""
+    found = fitted([measured(seed)], {"R": 0.56, "L": 1.2e-3, "k": 0.07}, ["R", "L", "k"])
+    for name, true in {"R": 0.4, "L": 2e-3, "k": 0.05}.items():
+        assert abs(found.values[name] - true) <= 4.0 * found.errors[name], name
+        assert 0 < found.errors[name] < 0.05 * true
+    assert found.residual == pytest.approx(NOISE, rel=0.15) and found.misfit == {} and found.undetermined == ()
+    assert found.between == 0 and found.iterations <= 25
+
+
+def test_errors_are_those_of_many_draws() -> None:
+    """The scatter of the estimates over draws of the noise is the standard error that one fit tells."""
+    draws = [fitted([measured(100 + i, every=4)], {"R": 0.44}, ["R", "k"]) for i in range(24)]
+    for name in ("R", "k"):
+        scatter = np.std([f.values[name] for f in draws], ddof=1)
+        assert scatter == pytest.approx(np.mean([f.errors[name] for f in draws]), rel=0.5)
+
+
+def test_what_the_data_cannot_tell_is_named() -> None:
+    """Inertia and damping times a factor, k times its root: the current alone does not tell the size of the rotor."""
+    model = build_model(build("dc_motor"), ph.Collocated(2))
+    options, own = Options(stop=STOP, step=STEP), measured(0)
+    data = Table(["terminal.i"], own.time, own.values[:, :1], ["A"])
+    found = fit(
+        model, NativeInstance(model), [Experiment("a", data, options, {"terminal.v": 12.0})], ["J", "k", "d", "R"],
+        ["terminal.i"],
+    )  # fmt: skip
+    (direction,) = found.undetermined
+    assert {"J", "k"} <= set(direction) <= {"J", "d", "k"}
+    assert found.errors["J"] == np.inf and np.isfinite(found.errors["R"])
+    J, k = (direction[n] * x / found.values[n] for n, x in (("J", 1e-4), ("k", 0.05)))
+    assert J / k == pytest.approx(2.0, rel=1e-3)
+
+
+def test_two_experiments_and_a_start_value() -> None:
+    tables = [measured(3), measured(4, voltage=6.0)]
+    values = [{"terminal.v": 12.0}, {"terminal.v": 6.0}]
+    found = fitted(tables, {"w": 8.0, "R": 0.5}, ["R", "w"], values=values)
+    assert abs(found.values["R"] - 0.4) <= 4 * found.errors["R"] and abs(found.values["w"]) <= 4 * found.errors["w"]
+    assert {name for name, *_ in found.curves} == {"0", "1"}
+
+
+def test_a_model_that_misses_something_is_told() -> None:
+    """A motor without friction and with half the inductance: residuals follow each other."""
+    found = fitted([measured(5)], {"L": 1e-3}, ["R"])
+    assert "terminal.i" in found.misfit
+
+
+def test_bounds_hold_and_are_told() -> None:
+    found = fitted([measured(6)], {}, ["R"], bounds={"R": (0.4, 0.41)})
+    assert 0.4 <= found.values["R"] <= 0.41
+    with pytest.raises(ValueError, match="R begins at 0.4, outside its bounds"):
+        fitted([measured(6)], {}, ["R"], bounds={"R": (1.0, 2.0)})
+
+
+def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The file of a fit is taken by --set, and its values make the run that was measured."""
+    data, out = measured(7).save(tmp_path / "data.csv"), tmp_path / "fit.json"
+    words = ["--set", "terminal.v=12", "--order", "4", "--step", str(STEP)]
+    free = ["--free", "L,R", "--measure", "terminal.i", "--set", "R=0.5"]
+    assert main(["fit", "dc_motor", str(data), *free, *words, "-o", str(out), "--plot", str(tmp_path / "f.png")]) == 0
+    told = capsys.readouterr().out
+    found = json.loads(out.read_text())
+    assert {"values", "errors", "residual", "iterations"} <= set(found) and "standard error" in told
+    assert found["values"]["R"] == pytest.approx(0.4, rel=0.05) and (tmp_path / "f.png").stat().st_size > 5000
+    assert main(["run", "dc_motor", *words, "--set", f"@{out}", "--stop", "0.01", "--quiet"]) == 0
+    assert main(["run", "dc_motor", *words, "--set", f"@{data}", "--stop", "0.01"]) == 2
+    assert "expected a file of phfmu fit" in capsys.readouterr().err
+    assert main(["fit", "dc_motor", str(data), "--free", "R", "--measure", "terminal.x", *words]) == 2
+    assert "has no signal 'terminal.x'" in capsys.readouterr().err

@@ -1,0 +1,126 @@
+"""Derivatives beside the columns of a run: against differences of whole runs, a closed form, and what has none."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import phfmu as ph
+from phfmu import Event, NativeInstance, Options, PythonInstance, build_model, run
+from phfmu.cli import main
+from phfmu.components.library import build
+from phfmu.derivatives.sensitive import SensitiveSteps
+from phfmu.results.file import open_result
+from tests.derivatives.differences import worst
+from tests.wide import wide
+
+#: target, what it is derived by, steps, their length, events
+CASES: dict[str, tuple[list[str], int, float, tuple[Event, ...]]] = {
+    "dc_motor": (
+        ["R", "L", "k", "flux", "shaft.torque"], 60, 1e-3, (Event(0.0, "terminal.v", 12.0), Event(0.03, "d", 1e-4)),
+    ),
+    "oscillator": (["mass1.m", "spring12.k", "mass1.q", "mass2.v"], 60, 1e-2, ()),
+    "smib": (["gen.J", "gen.Ra", "gen.shaft.torque"], 30, 1e-3, (Event(0.01, "gen.field.v", 500.0),)),
+    "ladder": (["gen1.J", "grid.amplitude"], 20, 1e-4, (Event(1e-3, "gen1.shaft.torque", 2e6),)),
+    "four_particle": (["k13", "alpha", "eta0"], 30, 1e-2, ()),
+    "drive": (["motor.R", "load.J"], 40, 1e-4, ()),
+}  # fmt: skip
+#: of the differences: Newton's acceptance, and for constrained particles that of the Schur sweep
+ACCURACY = {"four_particle": 1e-6}
+
+
+def declared(name: str) -> Any:
+    found = build(name)
+    return found.declaration() if isinstance(found, ph.Scene) else found
+
+
+RUNS = [(name, order) for name in CASES for order in (2, 4, 6) if (name, order) != ("four_particle", 4)]
+
+
+@pytest.mark.usefixtures("compiler")
+@pytest.mark.parametrize(("name", "order"), wide(RUNS, ("dc_motor", 4), ("smib", 2)))
+def test_columns_are_the_differences_of_runs(name: str, order: int) -> None:
+    by, n, h, events = CASES[name]
+    errors = worst(declared(name), by, Options(stop=n * h, step=h, events=events), order)
+    assert {by for _, by in errors} == set(by)
+    bad = {k: e for k, e in errors.items() if e > ACCURACY.get(name, 1e-7)}
+    assert bad == {}
+
+
+@pytest.mark.usefixtures("compiler")
+@pytest.mark.parametrize("engine", [PythonInstance, NativeInstance])
+def test_a_decay_has_the_derivatives_of_its_step_map(engine: Any) -> None:
+    """x' = -a x by the midpoint rule: x_n = r^n x_0, r = (1 - z)/(1 + z), z = a h/2; dx_n/da = -n x_n h/(1 - z^2)."""
+    a, h, n = 3.0, 0.05, 40
+    x, rate = ph.state("x", start=2.0), ph.parameter("a", a)
+    d = ph.PHDAE(
+        "decay", states=(x,), energies=(ph.energy(x.sx**2 / 2),), dissipation=(ph.damping(x, rate),), parameters=(rate,)
+    )
+    model = build_model(d)
+    found = run(SensitiveSteps(model, engine(model), ["a", "x"]), Options(stop=n * h, step=h))
+    z, k = a * h / 2, np.arange(n + 1)
+    exact = 2.0 * ((1 - z) / (1 + z)) ** k
+    np.testing.assert_allclose(found.column("x"), exact, rtol=1e-12)
+    np.testing.assert_allclose(found.column("d(x)/d(a)"), -k * exact * h / (1 - z**2), rtol=1e-12, atol=1e-15)
+    np.testing.assert_allclose(found.column("d(x)/d(x)"), exact / 2.0, rtol=1e-12)
+    np.testing.assert_allclose(found.column("d(energy.stored)/d(x)"), exact**2 / 2.0, rtol=1e-12)
+    np.testing.assert_allclose(found.column("d(energy.dissipated)/d(x)"), 2.0 - exact**2 / 2.0, rtol=1e-9, atol=1e-13)
+
+
+@pytest.mark.usefixtures("compiler")
+def test_a_parameter_that_an_event_sets_counts_up_to_there() -> None:
+    events = (Event(0.0, "terminal.v", 12.0), Event(0.02, "R", 0.6))
+    errors = worst(build("dc_motor"), ["R"], Options(stop=0.05, step=1e-3, events=events), 2)
+    assert max(errors.values()) < 1e-7
+
+
+@pytest.mark.usefixtures("compiler")
+def test_a_start_on_its_constraints_moves_with_them() -> None:
+    """The currents at the node of smib depend on the line's inductance: the start is that of --project."""
+    options = Options(stop=0.02, step=1e-3, project=True, events=(Event(0.01, "gen.shaft.torque", 2e6),))
+    errors = worst(build("smib").declaration(), ["line.L", "gen.Ld"], options, 2)
+    assert {k: e for k, e in errors.items() if e > 1e-6} == {}
+
+
+def test_units_and_names() -> None:
+    model = build_model(build("dc_motor"))
+    stepper = SensitiveSteps(model, PythonInstance(model), ["R", "terminal.v", "flux"], ["terminal.i"])
+    assert stepper.names[-3:] == ["d(terminal.i)/d(R)", "d(terminal.i)/d(terminal.v)", "d(terminal.i)/d(flux)"]
+    assert [stepper.units[n] for n in stepper.names[-3:]] == ["A/(ohm)", "A/(V)", "A/(Wb)"]
+
+
+REFUSED = {
+    "bouncing_ball": (["--sensitivity", "g"], "state events (floor), whose instants move with the parameters"),
+    "rectifier": (["--sensitivity", "load.R"], "state events (bridge.pair1.opens"),
+    "smib": (["--sensitivity", "gen.Q"], "no parameter, state or input 'gen.Q'"),
+    "oscillator": (["--sensitivity", "mass1.m", "--coupling", "newton"], "--sensitivity is for one composed model"),
+    "dc_motor": (["--sensitivity", "R", "--rtol", "1e-3"], "--sensitivity and --rtol do not go together"),
+    "drive": (["--sensitivity", "load.J", "--scheme", "radau"], "has no derivatives here"),
+}
+
+
+@pytest.mark.usefixtures("compiler")
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_has_no_derivative_is_refused_by_name(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    words, told = REFUSED[name]
+    assert main(["run", name, *words]) == 2
+    assert told in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("compiler")
+def test_the_command_writes_columns_of_the_signals_it_keeps(tmp_path: Any) -> None:
+    out = tmp_path / "o.parquet"
+    words = ["--set", "terminal.v=12", "--stop", "0.01", "--step", "1e-3", "--sensitivity", "R,L", "--quiet"]
+    assert main(["run", "dc_motor", *words, "--signals", "terminal.i", "-o", str(out)]) == 0
+    table = open_result(out)
+    assert table.names == ["terminal.i", "d(terminal.i)/d(R)", "d(terminal.i)/d(L)"]
+    assert table.unit("d(terminal.i)/d(L)") == "A/(H)" and np.all(table.column("d(terminal.i)/d(R)")[1:] < 0)
+
+
+def test_a_step_in_parts_and_a_driven_input_are_told() -> None:
+    model = build_model(build("dc_motor"))
+    stepper = SensitiveSteps(model, PythonInstance(model), ["terminal.v"])
+    with pytest.raises(ValueError, match="terminal.v is set within the run"):
+        run(stepper, Options(stop=0.01, step=1e-3, events=(Event(0.004, "terminal.v", 3.0),)))
