@@ -20,7 +20,7 @@ from phfmu.components.scenes.smib import smib
 from phfmu.components.scenes.two_machine import two_machine
 from phfmu.network.couplings.coupled import Coupled
 from phfmu.network.couplings.stepper import Stepper
-from phfmu.studies.bench import coupling, machine
+from phfmu.studies.bench import apart, machine
 
 ROUNDS = 15
 KEPT = ("none", "summary", "full")
@@ -57,7 +57,7 @@ def audit_cost() -> Made:
     for name, make, step, steps in (
         ("smib, composed", composed(smib().declaration()), 1e-4, 10_000),
         ("four_particle, composed", composed(four_particle()), 1e-3, 10_000),
-        ("two_machine, apart", lambda: coupling.coupled(two_machine().system, 1), 1e-4, 2000),  # pyright: ignore
+        ("two_machine, apart", lambda: apart.coupled(two_machine().system, 1), 1e-4, 2000),  # pyright: ignore
         ("oscillator, FMUs", units(oscillator()), 1e-2, 200),
     ):
         found = {kept: [] for kept in KEPT}

@@ -35,8 +35,7 @@ from phfmu.components.scenes.breaker_opening import breaker_opening
 from phfmu.engine.switched import stepped
 from phfmu.fmu.export.variables import FMUError
 from phfmu.network.couplings.gauss_seidel import GaussSeidel
-from phfmu.network.couplings.newton import Newton
-from phfmu.network.couplings.node_newton import newton
+from phfmu.network.couplings.newton import Newton, newton
 from phfmu.outcome.status import EventRefused
 from tests.wide import slow, wide
 

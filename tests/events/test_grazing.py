@@ -33,7 +33,7 @@ from phfmu import (
     skew,
     state,
 )
-from phfmu.network.couplings.node_newton import newton
+from phfmu.network.couplings.newton import newton
 
 DEPTHS = (1e-2, 1e-4, 1e-6, 1e-8)
 #: places of a step at which the guard turns

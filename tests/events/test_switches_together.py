@@ -31,7 +31,7 @@ from phfmu.components.library import build
 from phfmu.engine.switched import stepped
 from phfmu.network.couplings.apart import Apart
 from phfmu.network.couplings.gauss_seidel import GaussSeidel
-from phfmu.network.couplings.node_newton import newton
+from phfmu.network.couplings.newton import newton
 from phfmu.network.members.interpolant import Interpolant
 from tests.events.test_switched_members import network as charger
 from tests.wide import wide

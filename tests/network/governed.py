@@ -33,6 +33,7 @@ from phfmu.components.scenes.smib import circuit, smib
 from phfmu.components.scenes.speed_control import speed_control
 from phfmu.network.members.member import Member
 from phfmu.network.scene import Event
+from tests.network.both_loops import called_back
 
 STOP = 0.02
 COMPARED = ("gen.theta", "gen.p", "governor.x", "governor.out", "exciter.x", "exciter.out", "gen.Te")
@@ -120,11 +121,11 @@ def loop() -> Network:
     return net
 
 
-def speed(k: int, engine: Any = PythonInstance, h: float = 1e-2, stop: float = 0.2, **how: Any) -> tuple[Any, Coupled]:
+def speed(k: int, engine: Any = PythonInstance, called: bool = False, **how: Any) -> tuple[Any, Coupled]:
     """The controlled rotor, apart."""
     scene = speed_control()
-    system = apart(loop(), k, engine, **how)
-    return run(system, Options(stop=stop, step=h, events=scene.events)), system
+    system = called_back(apart(loop(), k, engine, **how), called)
+    return run(system, Options(stop=0.2, step=1e-2, events=scene.events)), system
 
 
 LOOP = ("rotor.w", "controller.x", "controller.command", "controller.error")

@@ -34,10 +34,9 @@ from phfmu import (
 from phfmu.components.mechanical.translational import mass, spring
 from phfmu.components.scenes.smib import smib
 from phfmu.components.scenes.two_machine import two_machine
-from phfmu.network.couplings.coupling import Step
-from phfmu.network.couplings.node_newton import NodeNewton, Unknowns
-from phfmu.network.interface.exchange import Exchange
-from phfmu.network.interface.joined import Joined
+from phfmu.network.couplings.coupling import Solution
+from phfmu.network.couplings.newton import Continuation, newton
+from phfmu.network.couplings.unconverged import Accepting
 from phfmu.outcome.status import Status
 from phfmu.schemes.midpoint import Midpoint
 from phfmu.schemes.radau import Radau
@@ -166,28 +165,22 @@ def test_the_order_is_that_of_the_least_member(k: int, others: dict[str, Any], o
 def test_of_an_iteration_stopped_early_the_junctions_take_what_rows_and_impulses_say(others: dict[str, int]) -> None:
     """W by the theorem against the books of the members, also where these have other nodes than their junctions."""
     net: Any = smib().system
-    joined, h = Joined(net, members(net, 2, **others)), 1e-3
-    exchange = Exchange(joined)
-    coupling = NodeNewton(exchange)
-    assert exchange.k.tolist() == [2] * len(exchange.k) and len(exchange.bare) == 3
-    assert [joined.face.names[c].partition(".")[0] for c in exchange.bare] == ["bus1"] * 3
-    before, states = coupling.before(), joined.states()
-    nominal = joined.face.nominal
     for seed in range(3):
-        rng = np.random.default_rng(seed)
-        z = Unknowns(
-            nominal[exchange.columns] * rng.normal(size=len(exchange.columns)),
-            1e-2 * h * nominal[exchange.bare] * rng.normal(size=(2, 3)),
-        )
-        joined.restore(states)
-        trial = coupling.trial(z, before, Step(0.0, h, states))
-        works = joined.ledger()["pairs"][: len(joined.face.column)][_joined_pairs(joined)]
-        assert abs(works.sum()) > 1e-3 * np.abs(works).sum()
-        assert coupling.works(z, before, trial, h).sum() == pytest.approx(works.sum(), rel=1e-11)
-
-
-def _joined_pairs(joined: Joined) -> list[int]:
-    return [i for i, p in enumerate(joined.booking.ports) if p.junction]
+        stepper = Coupled(net, members(net, 2, **others), lambda joined: Accepting(newton(joined)))
+        exchange: Any = stepper.coupling.inner.exchange  # type: ignore[attr-defined]
+        assert exchange.k.tolist() == [2] * len(exchange.k) and len(exchange.bare) == 3
+        assert [stepper.joined.face.names[c].partition(".")[0] for c in exchange.bare] == ["bus1"] * 3
+        stepper.master.rules.iterations = 1
+        nominal, h, rng = stepper.joined.face.nominal, 1e-3, np.random.default_rng(seed)
+        xi = nominal[exchange.columns] * rng.normal(size=len(exchange.columns))
+        m = 1e-2 * h * nominal[exchange.bare] * rng.normal(size=(2, 3))
+        stepper.last = Solution(stepper.last.xi, None, h, Continuation(np.concatenate([xi, *m])))
+        steps, _ = stepper.master.advance(stepper.last, stepper._sums, (0.0, h, 0), 1)
+        assert steps.works is not None and steps.accepted_by is not None and steps.accepted_by[0] == "unconverged"
+        ports = [i for i, p in enumerate(stepper.joined.booking.ports) if p.junction]
+        pairs = steps.pairs[0, ports]
+        assert abs(pairs.sum()) > 1e-3 * np.abs(pairs).sum()
+        assert steps.works.sum() == pytest.approx(pairs.sum(), rel=1e-11)
 
 
 @pytest.mark.parametrize("stiffness", wide([1e2, 1e6, 1e10], 1e10))

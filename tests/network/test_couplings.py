@@ -15,13 +15,11 @@ from phfmu import (
     Network,
     Options,
     PythonInstance,
-    Status,
     StepFailure,
     build_model,
     run,
 )
 from phfmu.components.mechanical.translational import mass, spring
-from phfmu.network.couplings.coupling import Solution, Step
 from phfmu.network.couplings.newton import Newton
 from phfmu.network.interface.joined import Joined
 
@@ -48,20 +46,10 @@ class Repeated:
     order, repeats, closes = 2, True, True
 
     def __init__(self, trials: int = 60):
-        self.trials = trials
+        self.iterations = trials
 
-    def solve(self, joined: Joined, last: Solution, step: Step) -> Solution:
-        C, P = joined.face.C.toarray(), joined.face.P
-        xi: Any = last.xi
-        for i in range(self.trials):
-            if i > 0:
-                joined.restore(step.states)
-            y = joined.trial(xi, step.t, step.h)
-            new: Any = np.linalg.solve(C, -P.T @ y)
-            if (abs(new - xi) <= 1e-14 * (1e-3 + abs(xi))).all():
-                return Solution(xi, y, i + 1, "stayed")
-            xi = new
-        raise StepFailure(Status.NO_CONVERGENCE, joined.network.name, step.t, step.h)
+    def moved(self, joined: Joined, xi: Any, r: Any) -> Any:
+        return xi - np.linalg.solve(joined.face.C.toarray(), r)
 
 
 def test_a_coupling_of_ones_own_gives_the_composed_motion() -> None:
@@ -87,16 +75,15 @@ def test_where_a_coupling_gives_up_all_members_are_back() -> None:
     assert stepper.last is last
 
 
-def test_newton_solves_the_rows_without_a_run() -> None:
-    """From the members and a step alone: rows at rounding, members at its end, under the unknowns that are returned."""
+def test_newton_solves_the_rows_of_a_step() -> None:
+    """Rows at rounding, members at the end of the step, under the unknowns that are kept."""
     net = pair()
     own = members(net)
-    joined = Joined(net, own)
-    start = Solution(joined.face.start, np.zeros(len(joined.face.column)))
-    found = Newton().solve(joined, start, Step(0.0, H, joined.states()))
-    assert found.accepted_by in ("energy", "rounding floor")
-    assert abs(joined.rows(found.xi, found.y)).max() <= 1e-13 * abs(found.y).max()
-    assert np.array_equal(np.concatenate([m.output() for m in own]), found.y)
+    stepper = Coupled(net, own, Newton())
+    steps = stepper.advance(0.0, H, 1)
+    assert steps.accepted_by is not None and steps.accepted_by[0] in ("energy", "rounding floor")
+    y = np.concatenate([m.output() for m in own])
+    assert abs(stepper.joined.rows(stepper.last.xi, y)).max() <= 1e-13 * abs(y).max()
     assert [m.instance.time for m in own] == [H, H]
 
 
@@ -118,13 +105,9 @@ def test_the_books_of_members_stand_side_by_side() -> None:
     net = pair()
     m, s = members(net)
     parts: list[Any] = [m, Silent(s)]
-    joined = Joined(net, parts)
-    Newton().solve(
-        joined, Solution(joined.face.start, np.zeros(len(joined.face.column))), Step(0.0, H, joined.states())
-    )
-    book, own = joined.ledger(), m.ledger()
-    assert set(book) == {"stored", "dissipated", "supplied", "pairs", "numerical", "moved"}
-    assert book["stored"].tolist() == [*own["stored"], *s.ledger()["stored"]]
-    assert book["numerical"].tolist() == [0.0, 0.0]
-    assert book["moved"].tolist() == [*own["moved"], *abs(s.energies())]
-    assert len(book["pairs"]) == len(joined.booking.ports)
+    stepper = Coupled(net, parts, Newton())
+    book, own = stepper.advance(0.0, H, 1), m.ledger()
+    assert book.stored[0].tolist() == [*own["stored"], *s.ledger()["stored"]]
+    assert book.numerical is not None and book.numerical[0].tolist() == [0.0, 0.0]
+    assert book.moved is not None and book.moved[0].tolist() == [*own["moved"], *abs(s.energies())]
+    assert len(book.pairs[0]) == len(stepper.joined.booking.ports)

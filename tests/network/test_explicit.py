@@ -80,7 +80,7 @@ def test_junctions_with_feedthrough_are_solved_at_each_instant() -> None:
 
 
 def _newton(joined: Any) -> Any:
-    from phfmu.network.couplings.node_newton import newton
+    from phfmu.network.couplings.newton import newton
 
     return newton(joined)
 

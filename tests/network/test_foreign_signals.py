@@ -17,7 +17,7 @@ from phfmu.fmu.importer.unit_file import unit_file
 from phfmu.network.couplings.auto import choose
 from phfmu.network.couplings.gauss_seidel import GaussSeidel
 from phfmu.network.couplings.jacobi import Jacobi
-from phfmu.network.couplings.node_newton import newton
+from phfmu.network.couplings.newton import newton
 from phfmu.network.couplings.signals.held_signals import SignalExchange
 from phfmu.network.couplings.signals.signal_growth import SignalGrowth
 from phfmu.network.members.fmu_member import FMUMember

@@ -33,7 +33,7 @@ from phfmu.engine.switched import stepped
 from phfmu.network.couplings.gathered import composed_members, gathered
 from phfmu.network.couplings.gauss_seidel import GaussSeidel
 from phfmu.network.couplings.jacobi import Jacobi
-from phfmu.network.couplings.node_newton import newton
+from phfmu.network.couplings.newton import newton
 from phfmu.network.members.fmu_member import FMUMember
 from tests.fmu import foreign
 from tests.network.test_coupled_units import row_of_nodes

@@ -21,8 +21,9 @@ from phfmu import (
 )
 from phfmu.components.mechanical.translational import mass, spring
 from phfmu.network.couplings.compiled.master_pattern import Pattern, exchanged
-from phfmu.network.couplings.node_newton import newton
+from phfmu.network.couplings.newton import newton
 from phfmu.network.interface.joined import Joined
+from phfmu.studies.bench import apart as apart_bench
 from phfmu.studies.bench import coupling as coupling_bench
 from tests.network.both_loops import SAME, members
 from tests.wide import wide
@@ -61,7 +62,7 @@ def test_what_a_run_begins_with_grows_with_the_members_only(make: Callable[[int]
     """Memory to join members, check their start and take the first steps: nothing is as large as unknowns squared."""
     peak = {}
     for n in (30, 30, 120):  # the first one loads what is needed
-        stepper = coupling_bench.coupled(make(n), 1)
+        stepper = apart_bench.coupled(make(n), 1)
         apart = stepper.joined  # pyright: ignore[reportAttributeAccessIssue]
         tracemalloc.start()
         try:
@@ -72,7 +73,7 @@ def test_what_a_run_begins_with_grows_with_the_members_only(make: Callable[[int]
             peak[n] = tracemalloc.get_traced_memory()[1]
         finally:
             tracemalloc.stop()
-        assert again._master is not None and again._master.taken == 2
+        assert again.master.taken == 2
     assert peak[120] <= 5.0 * peak[30]
 
 

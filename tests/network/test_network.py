@@ -20,7 +20,6 @@ from phfmu import (
     export,
     run,
 )
-from phfmu.components.electrical.machines.dc_motor import dc_motor
 from phfmu.components.electrical.rl_line import rl_line
 from phfmu.components.electrical.rlc_load import rlc_load
 from phfmu.components.mechanical.translational import mass, spring
@@ -33,7 +32,6 @@ from phfmu.network.couplings.coupled import Coupled
 from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.network.junction import ConnectionError
 from phfmu.network.members.consistent import InconsistentState
-from phfmu.network.members.differences import finite_differences
 from phfmu.network.members.engine_member import EngineMember
 from phfmu.network.members.fmu_member import FMUMember
 from phfmu.outcome.status import Status
@@ -318,10 +316,3 @@ def test_finite_differences(tmp_path: Path) -> None:
     closes(result)
     fine = run(composed(net, "native"), Options(stop=0.01, step=5e-5))
     assert result.column("load.w")[-1] == pytest.approx(fine.column("load.w")[-1], rel=1e-4)
-    one = member("motor", dc_motor(), "python")
-    u = np.array([12.0, 0.1])
-    start, _ = one.get_state(), one.set_input(u)
-    one.do_step(0.0, 1e-3)
-    exact, y = one.sensitivity(0.0, 1e-3, start), one.output()
-    assert np.allclose(finite_differences(one, u, 0.0, 1e-3, start, one.nominal), exact, rtol=1e-6, atol=1e-12)
-    assert np.array_equal(one.output(), y) and one.instance.time == 1e-3

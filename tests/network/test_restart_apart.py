@@ -23,7 +23,7 @@ from phfmu.cli import main
 from phfmu.components.library import build
 from phfmu.components.scenes.breaker_opening import breaker_opening
 from phfmu.network.couplings.anderson import Anderson
-from phfmu.network.couplings.node_newton import newton
+from phfmu.network.couplings.newton import newton
 from phfmu.network.couplings.unconverged import Halving
 from tests.engines import ENGINES
 from tests.events.stiff_fault import EVENTS, FAULT, STEP, STOP, T_FAULT, exact, network

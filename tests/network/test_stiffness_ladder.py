@@ -11,8 +11,7 @@ import pytest
 
 from phfmu import Anderson, Collocated, Coupled, EngineMember, NativeInstance, Network, Options, build_model, run
 from phfmu.components.mechanical.translational import mass, spring
-from phfmu.network.couplings.newton import Newton
-from phfmu.network.couplings.node_newton import newton
+from phfmu.network.couplings.newton import Newton, newton
 from tests.wide import wide
 
 ITERATED = {"anderson": lambda _: Anderson(), "held": lambda _: Newton(), "nodes": newton}

@@ -32,7 +32,7 @@ from phfmu import (
 )
 from phfmu.components.mechanical.multibody import Multibody
 from phfmu.network.couplings.apart import Apart
-from phfmu.network.couplings.node_newton import newton
+from phfmu.network.couplings.newton import newton
 from phfmu.schemes.two_level import TwoLevel
 from tests.wide import slow
 

@@ -10,8 +10,7 @@ import pytest
 
 from phfmu import Collocated, Coupled, EngineMember, Network, Options, PythonInstance, StepFailure, build_model, run
 from phfmu.cli import main
-from phfmu.network.couplings.newton import Newton
-from phfmu.network.couplings.node_newton import newton
+from phfmu.network.couplings.newton import Newton, newton
 from phfmu.network.couplings.unconverged import POLICIES
 from phfmu.network.interface.joined import Joined
 from tests.network.test_coupled_2k import nonlinear
@@ -27,8 +26,7 @@ def stepper(kind: str, policy: str, net: Network, k: int = 2) -> Coupled:
 
 
 def impatient(monkeypatch: pytest.MonkeyPatch, trials: int) -> None:
-    for module in ("newton", "node_newton"):
-        monkeypatch.setattr(f"phfmu.network.couplings.{module}.ITERATIONS", trials)
+    monkeypatch.setattr("phfmu.network.couplings.compiled.solvers.NewtonSolver.iterations", trials)
 
 
 @pytest.mark.parametrize("kind", COUPLINGS)
@@ -84,7 +82,7 @@ def test_a_step_that_no_halving_saves_is_refused_with_the_members_back(monkeypat
 
 def test_the_command_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     impatient(monkeypatch, 1)
-    line = ["run", "oscillator", "--engine", "python", "--coupling", "newton", "--stop", "0.05"]
+    line = ["run", "oscillator", "--coupling", "newton", "--stop", "0.05"]
     assert main(line) == 3
     assert main([*line, "--unconverged", "accept"]) == 0
     out = capsys.readouterr().out

@@ -47,7 +47,7 @@ from phfmu import (
 )
 from phfmu.components.mechanical.rotational import flexible_shaft, rotational_inertia
 from phfmu.discretise.model import Model
-from phfmu.network.couplings.node_newton import newton
+from phfmu.network.couplings.newton import newton
 from tests.wide import slow
 
 M, G, ARM, DRAG = 1.3, 9.81, 0.7, 0.4

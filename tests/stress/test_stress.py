@@ -242,8 +242,7 @@ def test_a_unit_whose_steps_do_not_repeat_is_named_only_if_it_lies():
 
 
 def test_an_honest_unit_is_not_blamed_for_an_iteration_that_is_given_up(monkeypatch):
-    monkeypatch.setattr("phfmu.network.couplings.node_newton.ITERATIONS", 1)
-    monkeypatch.setattr("phfmu.network.couplings.newton.ITERATIONS", 1)
+    monkeypatch.setattr("phfmu.network.couplings.compiled.solvers.NewtonSolver.iterations", 1)
     with pytest.raises(StepFailure) as failure:
         units.lied_to(units.HONEST)
     assert not failure.value.unsteady and "restore" not in str(failure.value)

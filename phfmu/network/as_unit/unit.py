@@ -72,8 +72,8 @@ class NetworkUnit(Unit):
     @cached_property
     def master(self) -> Master:
         """The compiled master, whose tables the unit has."""
-        found = self.whole.compiled
-        if found is None or found.solver != "newton" or self.whole.signals_held:
+        found = self.whole.master
+        if found.calls or found.solver != "newton" or self.whole.signals_held:
             raise FMUError(
                 f"{self.name}: its members are not all stepped by the compiled master under --coupling newton, or exchange "
                 "signals that are held over a step; export it composed, without --as-unit"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,16 +13,15 @@ from numpy.typing import NDArray
 from phfmu.engine.record import Grid
 from phfmu.engine.rest_changes import RestChange
 from phfmu.interrupt import Interrupted
+from phfmu.network.couplings.acceptance import HALVED
 from phfmu.network.couplings.coupling import AllSteps, Coupling, Solution, Step, Unconverged
 from phfmu.network.couplings.growth import Growth
 from phfmu.network.couplings.landing.landings import landings
-from phfmu.network.couplings.newton import Newton
-from phfmu.network.couplings.node_newton import NodeNewton, newton, xi_at_end
+from phfmu.network.couplings.newton import Newton, newton
 from phfmu.network.couplings.signals.agreed_signals import AgreedSignals, SignalsApart
 from phfmu.network.couplings.signals.held_signals import HeldSignals, SignalExchange
 from phfmu.network.couplings.signals.signal_growth import SignalGrowth
-from phfmu.network.couplings.start_values import start_values
-from phfmu.network.couplings.unconverged import Accepting, Halving, booked, plain
+from phfmu.network.couplings.unconverged import Accepting, Halving, in_halves, plain
 from phfmu.network.couplings.works import Works
 from phfmu.network.impulses.jumps_apart import JumpsApart
 from phfmu.network.interface.end_sums import EndSums
@@ -50,10 +49,10 @@ Array = NDArray[Any]
 class Coupled:
     """Members of a network, one per member, joined by a coupling; `last`: its junction unknowns for the step before.
 
-    `compiled`: False steps native members by the loop in Python, too, to compare.  `threads`: so many step native members
-    between them, None: as many as pay; results do not depend on it.  `signals`: what those that are not exchanged at nodes
-    are over a step: the line through the last two samples, the last one ("held"), or a mean that is iterated ("agreed", where
-    the coupling repeats steps and all members take them back; with "agreed-or-extrapolated" the line where none agrees).
+    threads:  so many step native members between them, None: as many as pay; results do not depend on it
+    signals:  over a step those that are not exchanged at nodes are on the line through two samples, the last one ("held"),
+              or a mean that is iterated ("agreed", where the coupling repeats steps and all members take them back; with
+              "agreed-or-extrapolated" the line where none agrees)
     """
 
     what = "members stepped apart"
@@ -63,20 +62,22 @@ class Coupled:
         network: Network,
         members: list[Member],
         coupling: Coupling | Callable[[Joined], Coupling] = newton,
-        compiled: bool = True,
         threads: int | None = None,
         signals: SignalExchange = "extrapolated",
     ):
-        self._may_compile, self._threads, self.instead = compiled, threads, network.to_compose
+        self._threads, self.instead = threads, network.to_compose
         self._signals_are: SignalExchange = signals
         self.joined = Joined(network, members)
         self.coupling = coupling(self.joined) if callable(coupling) else coupling
         closes = self.coupling.closes and not self.joined.put_off
         self._growth = None if closes else Growth(self.joined)
         face, inner = self.joined.face, plain(self.coupling)
-        self.last = Solution(face.start.copy(), np.zeros(len(face.column)))
+        self.last = Solution(face.start.copy())
         steps = AllSteps(self._all_step, lambda: (self.joined.states(), self.last), self._all_back)
-        self._exchange, self._lander, self._switching = landings(self.joined, inner, steps)
+        self._exchange, self._lander, self._switching = landings(self.joined, inner, steps, self._join)
+        #: the compiled steps, by the rows that relations have in the modes of switches
+        self._masters: dict[bytes, Master] = {}
+        self._mode = b""
         self._works = Works(self.joined, self._exchange, inner.repeats)
         self.booking = replace(self.joined.booking, loose=not closes, parts=self._works.keys)
         at_nodes = self._exchange.wires if self._exchange else ()
@@ -89,6 +90,7 @@ class Coupled:
         self._jumps = JumpsApart(self.joined, self._sums)
         #: steps are to tell the unknowns of the members that engines step
         self.unknowns_told = False
+        self._ended_by: BaseException | None = None
         self._at_start: Array | None = None  #: junction unknowns of the instant before the first step
         own = [*self.joined.names, *face.names, *self._sums.names]
         self._columns = WholeColumns(network, [m.name for m in members], own)
@@ -96,8 +98,9 @@ class Coupled:
 
     def _all_step(self, t: float, h: float) -> bool:
         """Whether it went in one part."""
-        self.last = self._solved(Step(t, h, self.joined.states()))
-        return self.last.earlier is None
+        self._row, self.last = self._taken(self.last, t, h)
+        by = self._row.accepted_by
+        return by is None or by[0] != HALVED
 
     def _all_back(self, saved: tuple[list[Any], Solution]) -> None:
         states, self.last = saved
@@ -117,20 +120,37 @@ class Coupled:
         """How many guards' zeros all members end their steps on together."""
         return 0 if self._lander is None else self._lander.guards
 
-    @cached_property
-    def _master(self) -> Master | None:
-        """The steps in compiled code, where there are such."""
-        held = self._signals if self._signals.any_held else None
-        if not self._may_compile or self._agreed or (held and not held.all_held):
-            return None
-        from phfmu.network.couplings.compiled.master import master
-
-        return master(self.joined, self.coupling, bool(self._works.keys), self._threads, held)
+    def _join(self) -> None:
+        """The rows of relations have changed."""
+        assert self._exchange is not None
+        C = self._exchange.C
+        self._mode = b"".join(a.tobytes() for a in (C.indptr, C.indices, C.data))
 
     @property
-    def compiled(self) -> Master | None:
-        """The steps in compiled code; None where members, coupling or signals have none."""
-        return self._master
+    def master(self) -> Master:
+        """The compiled steps; StepFailure where the rows of the junctions cannot be solved."""
+        if self._mode not in self._masters:
+            from phfmu.network.couplings.compiled.master import master
+
+            held = self._signals if self._samples_inside else None
+            found = master(self.joined, self.coupling, bool(self._works.keys), self._threads, held)
+            self._masters[self._mode] = found
+        return self._masters[self._mode]
+
+    @cached_property
+    def _samples_inside(self) -> bool:
+        """Whether the compiled loop samples the signals: those that are not iterated, where all are held."""
+        return self._signals.all_held and not self._agreed and not isinstance(self.coupling, Halving)
+
+    @property
+    def _one_by_one(self) -> bool:
+        """Whether Python has something to do between two steps."""
+        sampled = self._signals.any_held and (not self._samples_inside or self._followed_through_ports)
+        return self.master.calls or self.unknowns_told or sampled
+
+    @property
+    def _followed_through_ports(self) -> bool:
+        return bool(self.joined.followed) and self._signals.into_ports
 
     @property
     def signals_held(self) -> bool:
@@ -180,7 +200,7 @@ class Coupled:
             raise KeyError(f"{name} is fed by a signal; it cannot be set")
         self._sums.forget()
         self._signals.forget()
-        self.last = Solution(self.last.xi, self.last.y)  # what comes is not the continuation of the step before
+        self.last = Solution(self.last.xi)  # what comes is not the continuation of the step before
         before = self.energies() if self._growth else None
         kind = self.joined.set_value(name, value, self.last.xi)
         if self.joined.booking.constants != self.booking.constants:
@@ -194,7 +214,7 @@ class Coupled:
         """Values of `names` now."""
         xi = end = self._at_start
         if xi is None or end is None:
-            xi, end = self.last.xi, self._switching.xi if self._switching else xi_at_end(self._exchange, self.last)
+            xi, end = self.last.xi, self._switching.xi if self._switching else self.last.end
         return self._columns.rows(np.concatenate([self.joined.read(), xi, self._sums.values(end)]))
 
     def energies(self) -> Array:
@@ -211,7 +231,6 @@ class Coupled:
         self._sample()
         if self._switching is None:  # else entering the first mode sees to that, and books it
             self._sums.require_zero(self.last.xi)
-        self.last = replace(self.last, y=self.joined.end_outputs())
 
     def check_changed(self) -> None:
         if self._switching is not None:
@@ -224,7 +243,7 @@ class Coupled:
             return self._switching.project(t0, kept)
         from phfmu.network.impulses.impulsive_start import project_start
 
-        self.last = Solution(self.last.xi, self.last.y)
+        self.last = Solution(self.last.xi)
         return project_start(self.joined, t0, kept)
 
     def prepare(self, t0: float, h: float) -> None:
@@ -234,38 +253,48 @@ class Coupled:
         if self._growth is not None:
             self._growth.given(self.energies())
         if self._switching is not None:
-            self.last = Solution(self._switching.begin(h), self.last.y)
+            self.last = Solution(self._switching.begin(h))
             self._at_start = self.last.xi
             return
         if not self.coupling.repeats:
-            self.last = Solution(Instant().solve(self.joined, self.last.xi, t0), self.last.y)
+            self.last = Solution(Instant().solve(self.joined, self.last.xi, t0))
             self.joined.begin(self.last.xi)
             return
-        if self._master is not None:
-            self._sums.values(self.last.xi)
-            if prepared := self._master.prepare(self.last.xi, t0, h):
-                self.last, self._at_start = Solution(prepared[0], self.last.y), prepared[1]
-                self.joined.apply(self._at_start)
-                self._signals.sample(self._at_start)
-                self.joined.begin(self._at_start)
-                return
         try:
-            found = self._tried(t0, h)
+            mean, begin = self._tried(t0, h)
         except EndRequested:  # the first step will tell
             self.joined.begin(self.last.xi)
             return
-        xi = start_values(self.joined, self._sums, self._exchange, self.last.xi, partial(self._tried, t0), t0, h)
-        self.last = Solution(found.xi, found.y)
-        self._at_start = found.xi if xi is None else xi
-        self.joined.begin(self._at_start)
+        self.last, self._at_start = Solution(mean), begin
+        if not self.master.calls:
+            self.joined.apply(begin)
+            self._signals.sample(begin)
+        self.joined.begin(begin)
 
-    def _tried(self, t0: float, h: float) -> Solution:
-        """A step from the start, which is taken back."""
-        states = self.joined.states()
+    def _tried(self, t0: float, h: float) -> tuple[Array, Array]:
+        """Junction unknowns of a trial step, which is taken back, and those of the instant.
+
+        They are the limit of short steps; units of other tools are not asked for such where outputs follow the unknowns at once.
+        """
+        self._sums.values(self.last.xi)
+        limit = not self.joined.put_off and (self._sums.hide or not self.master.calls)
+        found = self.master.prepare(self.last.xi, t0, h, limit)
+        if found is None:
+            assert self.master.refusal is not None
+            if not isinstance(self.coupling, Halving):
+                raise self._told(self.master.refusal, h)
+            states = self.joined.states()
+            try:
+                _, solution = self._taken(self.last, t0, h)
+            finally:
+                self.joined.restore(states)
+            found = solution.xi, solution.xi
+        if self._sums.hide or not self.master.calls:
+            return found
         try:
-            return self._solved(Step(t0, h, states))
-        finally:
-            self.joined.restore(states)
+            return found[0], Instant().solve(self.joined, found[0], t0)
+        except (StepFailure, ValueError):  # outputs do not follow all of them
+            return found
 
     def _sample(self) -> None:
         """Signals at the present time, where no step is taken."""
@@ -273,47 +302,60 @@ class Coupled:
         if self._agreed is not None:
             self._agreed.at_instant(self.last.xi)
 
-    def _stepped(self, step: Step) -> Solution:
+    def _told(self, failure: BaseException, h: float) -> BaseException:
+        """Of an iteration that is given up, units that do not repeat a step are told."""
+        if isinstance(failure, Unconverged) and not failure.signals:
+            failure.unsteady = self.joined.unsteady(h)
+        return failure
+
+    def _one(self, last: Solution, t: float, h: float) -> tuple[Steps, Solution]:
+        """A step that goes on from `last`; where it is refused all members are at t again."""
+        steps, found = self.master.advance(last, self._sums, (t, h, 0), 1)
+        if not len(steps.H):
+            assert self.master.refusal is not None
+            raise self.master.refusal
+        return steps, found
+
+    def _taken(self, last: Solution, t: float, h: float) -> tuple[Steps, Solution]:
+        """The same; in halves where it does not converge and that was asked for."""
+        self._sums.find(last.xi)
+        if not isinstance(self.coupling, Halving):
+            return self._one(last, t, h)
+        return in_halves(self._one, self.joined.finish, last, t, h)
+
+    def _stepped(self, step: Step) -> tuple[Steps, Solution]:
         """A step with the signals that it takes."""
         if self._agreed is None:
-            return self._solved(step)
-        xi = self.last.xi
+            return self._taken(self.last, step.t, step.h)
+        last = self.last
         try:
-            return self._agreed.step(step, xi, self._solved, lambda found: xi_at_end(self._exchange, found))
+            return self._agreed.step(step, last.xi, lambda s: self._taken(last, s.t, s.h), lambda found: found[1].end)
         except Unconverged as failure:
             if not failure.signals or self._signals_are != "agreed-or-extrapolated":
                 raise
         self.joined.restore(step.states)
         self._agreed.found = None
-        self._apart.take(step, xi)
-        return self._solved(step)
-
-    def _solved(self, step: Step) -> Solution:
-        """The solution of the step; of an iteration that is given up, units that do not repeat a step are told."""
-        try:
-            return self.coupling.solve(self.joined, self.last, step)
-        except Unconverged as failure:
-            self.joined.restore(step.states)
-            failure.unsteady = self.joined.unsteady(step.h)
-            raise
+        self._apart.take(step, last.xi)
+        return self._taken(last, step.t, step.h)
 
     def advance(self, t0: float, h: float, n: int, first: int = 0) -> Steps:
-        parts, done, self._at_start = list[Steps](), 0, None
+        parts, done, self._at_start, self._ended_by = list[Steps](), 0, None, None
         while done < n:
             try:
-                most = 1 if self.unknowns_told else n - done
-                done += (taken := self._compiled(parts, (t0, h, first + done), most))
-                if done == n:
-                    break
-                if taken == most:
-                    continue
-                t = t0 + (first + done) * h
-                parts.append(Steps.stacked([self._step(t, h)]))
-                self._require_wanted(t + h)
+                k = 1 if self._one_by_one else n - done
+                if k > 1 and (taken := self._many((t0, h, first + done), k)):
+                    parts.append(taken)
+                    done += len(taken.H)
+                    self._require_wanted(t0 + (first + done) * h)
+                if self._ended_by is not None:
+                    raise self._ended_by
+                if k == 1 or done < n:  # what is left begins with the step that is to be halved, or that runs away
+                    parts.append(self._single(t0 + (first + done) * h, h))
+                    done += 1
+                    self._require_wanted(t0 + (first + done) * h)
             except (StepFailure, Interrupted) as failure:
                 failure.recorded = {"steps": Steps.joined(parts)} if parts else {}
                 raise
-            done += 1
         return Steps.joined(parts)
 
     def _require_wanted(self, t: float) -> None:
@@ -321,55 +363,68 @@ class Coupled:
         if names := self.joined.ended:
             raise EndRequested(names, t, 0.0, t)
 
-    def _compiled(self, parts: list[Steps], grid: tuple[float, float, int], n: int) -> int:
-        """Adds as many of n steps as go as usual without returning to Python, if all members can do that; their number."""
-        if self._master is None or (self.joined.followed and self._signals.into_ports):
-            return 0
+    def _many(self, grid: tuple[float, float, int], n: int) -> Steps | None:
+        """As many of n steps as are accepted, and do not run away, without returning to Python; None of none.
+
+        `_ended_by`: why the next one is not taken, if it is refused for good.
+        """
         self._sums.find(self.last.xi)
         last, states, samples = self.last, self.joined.states() if self._growth else None, self._signals.state()
-        steps, self.last = self._master.advance(last, self._sums, grid, n)
+        steps, self.last = self.master.advance(last, self._sums, grid, n)
         done = len(steps.H)
         if self._growth and states and done and (fine := self._growth.within(steps.H, steps.pairs)) < done:
-            # the one that runs away is left to the loop in Python, which says so
             self.joined.restore(states)
             self._signals.restore(samples)
-            steps, self.last = self._master.advance(last, self._sums, grid, fine)
-        if done := len(steps.H):
-            works = None if steps.works is None else self._works.grouped(steps.works)
-            unknowns = self._unknowns()[None] if self.unknowns_told else None
-            parts.append(replace(steps, signals=self._columns.rows(steps.signals), works=works, unknowns=unknowns))
-        if self._master.failure:
-            raise self._master.failure
-        if done and self._signals.any_held:
+            steps, self.last = self.master.advance(last, self._sums, grid, fine)
+        if self.master.refusal and not self.master.passing and not isinstance(self.coupling, Halving):
+            self._ended_by = self._told(self.master.refusal, grid[1])
+        self._watch_signals(grid, len(steps.H))
+        return self._rows(steps) if len(steps.H) else None
+
+    def _watch_signals(self, grid: tuple[float, float, int], done: int) -> None:
+        """After steps in which the master has exchanged the signals."""
+        t0, h, first = grid
+        if self._samples_inside and self._signals.any_held:
             for i, values in enumerate(self._signals.rows):
-                self._grown.watch(grid[0] + (grid[2] + i + 1) * grid[1], values)
+                self._grown.watch(t0 + (first + i + 1) * h, values)
             self._signals.rows = []
         elif done:
-            self._signals.stepped(grid[1], xi_at_end(self._exchange, self.last))
-        return done
+            self._signals.stepped(h, self.last.end)
 
-    def _step(self, t: float, h: float) -> dict[str, Any]:
-        """One step, and what is known of it: the fields of `Steps`.
+    def _rows(self, steps: Steps) -> Steps:
+        """The record of steps, with the columns of the network and the parts of its junctions."""
+        works = None if steps.works is None else self._works.grouped(steps.works)
+        unknowns = self._unknowns()[None] if self.unknowns_told else None
+        return replace(steps, signals=self._columns.rows(steps.signals), works=works, unknowns=unknowns)
 
-        Every member is at t + h with the committed inputs, or, also when reading fails, all are back at t.
-        """
-        self._signals.hold(h, self.last.xi)
+    def _single(self, t: float, h: float) -> Steps:
+        """One step: every member is at t + h with the committed inputs, or, also when reading fails, all are back at t."""
+        inside = self._samples_inside and not self._followed_through_ports
         states, last, samples = self.joined.states(self.coupling.repeats), self.last, self._signals.state()
         try:
-            self.last = self._stepped(Step(t, h, states))
+            if not inside:
+                self._signals.hold(h, self.last.xi)
+            steps, self.last = self._stepped(Step(t, h, states))
             self.joined.finish()
-            self._signals.stepped(h, xi_at_end(self._exchange, self.last), self._agreed and self._agreed.found)
-            if self._signals.held:
+            if inside:
+                self._watch_signals((t, h, 0), 1)
+            else:
+                self._signals.stepped(h, self.last.end, self._agreed and self._agreed.found)
+            if not inside and self._signals.held:
                 self._grown.watch(t + h, self._signals.now)
-            known = self._known(t, h)
+            if self._signals.any_held or any(m.finishes for m in self.joined.members):
+                steps = self.master.recorded(self._sums, t, h, steps)
+            if self._growth is not None:
+                self._growth.watch(t, h, steps.H[0], steps.pairs[0])
             self._jumps.require_own()
-            return known
+            return self._rows(steps)
         except BaseException as failure:
             self.joined.restore(states)
             self._signals.restore(samples)
             self.last = last
             if isinstance(failure, EndRequested):
                 failure.time, failure.h, failure.back = t, h, all(s is not None for s in states)
+            self._told(failure, h)
             raise
 
     def land(self, t0: float, h: float, n: int, first: int = 0, changed: bool = True) -> Iterator[Landing]:
@@ -384,8 +439,7 @@ class Coupled:
                 self._at_start = None if taken or self._switching else self._at_start
                 if taken:
                     try:
-                        self.joined.finish()
-                        known = Steps.stacked([self._known(t, taken)])
+                        known = self._landed_row(t, taken)
                     except BaseException:
                         self._lander.back()
                         raise
@@ -394,7 +448,7 @@ class Coupled:
                     continue
                 self._sums.forget()
                 # what comes is not the continuation of the step before
-                self.last = Solution(self._switching.xi if self._switching else self.last.xi, self.last.y)
+                self.last = Solution(self._switching.xi if self._switching else self.last.xi)
                 self.joined.apply(self.last.xi)
                 assert happened is not None
                 yield np.zeros(0), np.zeros(0), None, (happened, self.read())
@@ -402,6 +456,15 @@ class Coupled:
             if paused:
                 return
             changed = False
+
+    def _landed_row(self, t: float, h: float) -> Steps:
+        """The record of a step that ends where members land, with what is told there."""
+        self.joined.finish()
+        if any(m.finishes for m in self.joined.members):
+            self._row = self.master.recorded(self._sums, t, h, self._row)
+        if self._growth is not None:
+            self._growth.watch(t, h, self._row.H[0], self._row.pairs[0])
+        return replace(self._rows(self._row), signals=self.read()[None])
 
     # -- under another scheme ---------------------------------------------------------------------------------------
 
@@ -413,7 +476,7 @@ class Coupled:
     def undamped(self) -> dict[str, str]:
         """Member, "" for all -> why it takes no single steps under another scheme."""
         inner = plain(self.coupling)
-        if not isinstance(inner, Newton | NodeNewton):
+        if not isinstance(inner, Newton):
             return {"": "take damping steps with --coupling newton only"}
         found = dict[str, str]()
         for m in self.joined.members:
@@ -438,7 +501,7 @@ class Coupled:
         def coupling(joined: Joined) -> Coupling:
             return newton(joined) if around is None else around(newton(joined))
 
-        found = Coupled(self.joined.network, members, coupling, self._may_compile, self._threads, self._signals_are)
+        found = Coupled(self.joined.network, members, coupling, self._threads, self._signals_are)
         self._works.share(found._works)
         self.booking = replace(self.booking, parts=self._works.keys)
         return found
@@ -453,7 +516,7 @@ class Coupled:
         instance._signals.follow(other._signals)
         instance._sums.forget()
         instance._at_start = None
-        instance.last = Solution(xi_at_end(other._exchange, other.last), other.last.y)
+        instance.last = Solution(other.last.end)
 
     def taken(self, instance: Coupled, t0: float, h: float, n: int) -> Steps:
         """n steps of this one or of a companion."""
@@ -467,15 +530,3 @@ class Coupled:
         """Of the last steps of the members that engines step."""
         engines = (m for m in self.joined.members if isinstance(m, EngineMember))
         return np.concatenate([m.instance.unknowns for m in engines])
-
-    def _known(self, t: float, h: float) -> dict[str, Any]:
-        """The record of the step just taken: the fields of `Steps`."""
-        known = {"signals": self.read(), "H": self.energies(), "iterations": self.last.iterations}
-        test = {"accepted_by": self.last.accepted_by} if self.last.accepted_by else {}
-        book = booked(self.joined, self._works, self.last, h)
-        known["events"] = (*self.last.happened, *self.joined.happened())
-        if self.unknowns_told:
-            known["unknowns"] = self._unknowns()
-        if self._growth is not None:
-            self._growth.watch(t, h, known["H"], book["pairs"])
-        return known | test | book

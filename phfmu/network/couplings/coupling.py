@@ -1,20 +1,20 @@
-"""The interface of couplings: a coupling finds the junction unknowns of one step; `Coupled` does all else.
+"""The interface of couplings: how the junction unknowns of a step are found.
 
-A coupling is one file with one class; `newton.py` is one.  It is given the members with the equations of their junctions
-(`Joined`), what it found for the step before, and the step; it leaves every member at the end of the step.
+A coupling is a class that says what it keeps, and how the unknowns move: `started` before a step, `moved` after a trial that is
+not accepted.  Those of `compiled/solvers.py` have that in C (`runtime/`).  Loops, trials, records and books are those of the
+compiled master.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from numpy.typing import NDArray
 
 from phfmu.network.interface.joined import Joined
 from phfmu.outcome.status import StepFailure
-from phfmu.outcome.steps import StepEvent
 
 Array = NDArray[Any]
 
@@ -42,37 +42,29 @@ class AllSteps:
 
 @dataclass(frozen=True)
 class Solution:
-    """Junction unknowns xi of a step and outputs y of the members under them; trials; by which test they were accepted.
+    """Junction unknowns xi of the last step (means), and at its end (None: the same).
 
-    `h`: of the last part of a step that was taken in parts, `earlier`: the ledger of those before it, `happened`: what did there.
-    `works`: energy of each unknown at its junction [J], None where that is h xi r.
+    `h`: length of the last step, or of the last part of one that was taken in parts; 0 where the next step is no continuation.
+    `memory`: what the solver goes on from, of its own kind.
     """
 
     xi: Array
-    y: Array
-    iterations: int = 0
-    accepted_by: str = ""
-    earlier: dict[str, Array] | None = None
+    at_end: Array | None = None
     h: float = 0.0
-    works: Array | None = None
-    happened: tuple[StepEvent, ...] = ()
+    memory: Any = None
+
+    @property
+    def end(self) -> Array:
+        """Junction unknowns at the end of the step."""
+        return self.xi if self.at_end is None else self.at_end
 
 
 class Unconverged(StepFailure):
-    """An iteration that was given up.
-
-    `best`: the trial that left the least, if all were finite; the members are at the end of the step under it.
-    """
-
-    best: Solution | None = None
-
-    def of(self, best: Solution) -> Unconverged:
-        self.best = best
-        return self
+    """An iteration that was given up; the members are at the start of the step."""
 
 
 class Coupling(Protocol):
-    """Finds the junction unknowns of a step.
+    """A way to find the junction unknowns of a step.
 
     `order`: the most that it keeps, whatever the order of the members;  `repeats`: whether it takes a step more than once, for
     which members must save their states;  `closes`: whether junctions create no energy, by its own account.
@@ -82,10 +74,20 @@ class Coupling(Protocol):
     repeats: bool
     closes: bool
 
-    def solve(self, joined: Joined, last: Solution, step: Step) -> Solution:
-        """One step from step.t, where the members are; they end at step.t + step.h under the returned unknowns.
 
-        `last`: of the step before, at the start its unknowns are the start values.  Unconverged: its best trial may be
-        kept.  Any other StepFailure: the members may be anywhere, who calls brings them back.
-        """
+@runtime_checkable
+class Starts(Protocol):
+    """A coupling with a rule for where a step starts from; without it that is where the step before ended."""
+
+    def started(self, joined: Joined, xi: Array, r: Array) -> Array:
+        """Junction unknowns of the first trial; xi, r: those of the step before and the rows that it left, r = P^T Y + C xi."""
+        ...
+
+
+@runtime_checkable
+class Moves(Protocol):
+    """A coupling that iterates, at most `iterations` times a step; without it the first trial is the step."""
+
+    def moved(self, joined: Joined, xi: Array, r: Array) -> Array:
+        """Junction unknowns of the next trial; xi, r: those of the last one and the rows that it left."""
         ...

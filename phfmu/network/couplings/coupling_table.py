@@ -67,7 +67,7 @@ NEWTON = CouplingRow(
     "members take steps back, but one",
     _C + "newton.Newton",
     "inputs held",
-    _C + "node_newton.newton",
+    _C + "newton.newton",
 )
 ANDERSON = CouplingRow(
     "anderson",

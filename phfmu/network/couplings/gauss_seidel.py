@@ -1,12 +1,13 @@
-"""Gauss-Seidel coupling: members step one after the other, each with the newest outputs of the others."""
+"""Gauss-Seidel coupling: members step one after the other, each with the newest outputs of the others (`runtime/in_turn.c`).
+
+Before a member steps, the junction unknowns are those that the present outputs give (`interface/instant.py`).  They are held
+over the step.  What the junctions take, sum h U^T Y, is booked by the members.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-from phfmu.network.couplings.coupling import Solution, Step
-from phfmu.network.couplings.explicit import ORDER, stepped
-from phfmu.network.interface.instant import Instant
 from phfmu.network.interface.joined import Joined
 from phfmu.network.network import Network
 from phfmu.words import meant
@@ -15,10 +16,10 @@ from phfmu.words import meant
 class GaussSeidel:
     """Every member once, in turn.  `sequence`: names of members, by default `usual_sequence`."""
 
-    order, repeats, closes = ORDER, False, False
+    order, repeats, closes = 1, False, False
 
     def __init__(self, sequence: Sequence[str] | None = None) -> None:
-        self._sequence, self._instant = sequence, Instant()
+        self._sequence = sequence
 
     @staticmethod
     def sequence_of(network: Network, sequence: Sequence[str] | None) -> tuple[str, ...]:
@@ -29,10 +30,6 @@ class GaussSeidel:
         """Places of members among all, in the order in which they step; ValueError if the sequence is not one of the members."""
         at = {m.name: i for i, m in enumerate(joined.members)}
         return [[at[name]] for name in self.sequence_of(joined.network, self._sequence)]
-
-    def solve(self, joined: Joined, last: Solution, step: Step) -> Solution:
-        """ValueError where no output gives a junction unknown, or the sequence is not one of the members."""
-        return stepped(joined, self._instant, last, step, self.groups(joined))
 
 
 def usual_sequence(network: Network) -> tuple[str, ...]:

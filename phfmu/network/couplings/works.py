@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.audit.booking import PartKey
-from phfmu.network.couplings.coupling import Solution
 from phfmu.network.interface.exchange import Exchange
 from phfmu.network.interface.joined import Joined
 
@@ -58,16 +57,6 @@ class Works:
         found = np.zeros((*works.shape[:-1], len(self.keys)))
         found[..., self._own.astype(int)] = own
         return found
-
-
-def works(joined: Joined, solution: Solution, h: float) -> Array:
-    """Energies [J] of all unknowns in the step of length h that the members have just taken: what `Works.grouped` takes."""
-    xi, h = solution.xi, solution.h or h
-    own = h * xi * joined.rows(xi, solution.y) if solution.works is None else solution.works
-    if not joined.put_off:
-        return own
-    taken = np.concatenate([m.output() for m in joined.members])
-    return np.concatenate([own, h * xi * (joined.face.summed(taken - solution.y))])
 
 
 def _of_unknowns(joined: Joined, exchange: Exchange | None) -> list[PartKey | None]:

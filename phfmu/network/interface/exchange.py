@@ -64,10 +64,6 @@ class Share:
     def kicked(self) -> bool:
         return bool(self.Q.any())
 
-    @cached_property
-    def abs_back(self) -> Array:
-        return np.abs(self.back)
-
 
 def has_events(member: Member) -> TypeGuard[EngineMember]:
     """Whether an engine steps a model with state events."""

@@ -20,10 +20,6 @@ class Followed:
         self.places = np.array([free[name][0] for name in data.names], int)
         self._signs = np.array([free[name][1] for name in data.names])
 
-    def middle(self, t: float, h: float) -> Array:
-        """Values in the middle of a step, for inputs that are held over it: of order 2."""
-        return self.data(t + 0.5 * h) * self._signs
-
     def own(self, place: slice) -> NDArray[np.intp]:
         """The data that belong to the inputs at `place`."""
         return np.flatnonzero((self.places >= place.start) & (self.places < place.stop))

@@ -24,7 +24,6 @@ from phfmu.network.members.differences import instant_sensitivity
 from phfmu.network.members.member import Member
 from phfmu.network.members.stepped_last import SteppedLast
 from phfmu.network.network import Network
-from phfmu.outcome.steps import StepEvent
 from phfmu.signals import of_member
 from phfmu.words import meant
 
@@ -108,24 +107,6 @@ class Joined:
         u = self.inputs(xi)
         for m, place in zip(self.members, self.places, strict=True):
             m.begin(u[place])
-
-    def follow(self, t: float, h: float) -> None:
-        """Data that inputs follow, as they are held over a step."""
-        if self.followed is not None:
-            self.free[self.followed.places] = self.followed.middle(t, h)
-
-    def free_at_nodes(self, place: slice, c: Array, t: float, h: float) -> Array:
-        """U_free of the member at `place` at the fractions c of a step (k x nu, or nu where all are the same)."""
-        free = self.free[place]
-        return free if self.followed is None else self.followed.at_nodes(free, place, c, (t, h, 0), 1)[0]
-
-    def trial(self, xi: Array, t: float, h: float) -> Array:
-        """Step every member from t by h under xi; their outputs Y (nu)."""
-        self.follow(t, h)
-        self.apply(xi)
-        for m in self.members:
-            m.do_step(t, h)
-        return np.concatenate([m.output() for m in self.members])
 
     def finish(self) -> None:
         """Members that were put off take the step that the others took, and some take theirs for good."""
@@ -240,26 +221,6 @@ class Joined:
     def end_outputs(self) -> Array:
         """Outputs at the present time (nu)."""
         return np.concatenate([m.end_output() for m in self.members])
-
-    def happened(self) -> list[StepEvent]:
-        """Events within the last step of the members, in order of time."""
-        found, first, n = list[StepEvent](), 0, len(self.booking.components)
-        for m in self.members:
-            end = first + len(m.booking.components)
-            for e in m.happened():
-                energy, lost = np.zeros((2, n))
-                energy[first:end], lost[first:end] = e.energy, e.lost
-                found.append(replace(e, energy=energy, lost=lost))
-            first = end
-        return sorted(found, key=lambda e: e.t)
-
-    def ledger(self) -> dict[str, Array]:
-        """The ledgers of the last step side by side; what a member does not tell is zero, its moved energy all of its H."""
-        books = [
-            {"numerical": np.zeros(len(m.booking.components)), "moved": np.abs(m.energies())} | m.ledger()
-            for m in self.members
-        ]
-        return {key: np.concatenate([b[key] for b in books]) for key in books[0]}
 
 
 def _booking(network: Network, members: list[Member]) -> Booking:

@@ -1,9 +1,8 @@
-"""Sensitivities of members by differences: of a step, with rollback, and of the present outputs."""
+"""Sensitivities of the present outputs of members, by differences; those of a step are in `couplings/runtime/share.c`."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,26 +15,6 @@ Array = NDArray[np.float64]
 _NUMBERS = defined(Path(__file__).parent.parent / "couplings" / "runtime" / "in_turn.h")
 #: relative change of an input that tells whether outputs follow it;  part of an output below which a change of it is none
 MOVE, ROUNDING = _NUMBERS["INSTANT_MOVE"], _NUMBERS["INSTANT_ROUNDING"]
-
-
-def finite_differences(member: Member, u: Array, t: float, h: float, state: Any, nominal: Array) -> Array:
-    """G = dY/dU by one-sided differences with rollback (nu extra steps); the member ends at t + h with inputs u."""
-
-    def outputs(value: Array) -> Array:
-        member.set_state(state)
-        member.set_input(value)
-        member.do_step(t, h)
-        return member.output()
-
-    base = outputs(u)
-    G = np.zeros((len(u), len(u)))
-    for j in range(len(u)):
-        step = 1e-6 * (nominal[j] + abs(u[j]))
-        moved = u.copy()
-        moved[j] += step
-        G[:, j] = (outputs(moved) - base) / step
-    outputs(u)
-    return G
 
 
 def instant_sensitivity(member: Member, u: Array) -> Array:

@@ -16,11 +16,9 @@ from phfmu.engine.impulses import port_kernels
 from phfmu.engine.rest_changes import RestChange
 from phfmu.network.members.columns import Columns, booked, booking
 from phfmu.network.members.consistent import MONOLITHIC, require_consistent
-from phfmu.network.members.differences import finite_differences
 from phfmu.network.members.happenings import Happenings
 from phfmu.network.members.inputs import Inputs, places
 from phfmu.network.signal_ports import signal_places
-from phfmu.outcome.status import Status, StepFailure
 from phfmu.outcome.steps import StepEvent
 from phfmu.schemes.scheme import Scheme
 from phfmu.signals import SignalKind, labels, of_member
@@ -189,13 +187,8 @@ class EngineMember:
     def end_output(self) -> Array:
         return self.instance.signal("y_end")[: self.nu]
 
-    def sensitivity(self, t: float, h: float, state: Any) -> Array:
-        try:
-            return self.instance.sensitivity()
-        except StepFailure as failure:
-            if failure.status is not Status.NO_SENSITIVITY:
-                raise
-            return finite_differences(self, self._inputs.u, t, h, state, self.nominal)
+    def sensitivity(self) -> Array:
+        return self.instance.sensitivity()
 
     def get_state(self) -> Any:
         return self.instance.get_state()

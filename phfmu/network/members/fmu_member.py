@@ -18,9 +18,7 @@ from phfmu.audit.kinds import Quality
 from phfmu.engine.rest_changes import RestChange
 from phfmu.fmu.importer.reader import FMUInstance
 from phfmu.fmu.importer.refusal import UnitCallError, UnitFailure
-from phfmu.network.members.differences import finite_differences
 from phfmu.network.members.inputs import places
-from phfmu.outcome.status import Status, StepFailure
 from phfmu.outcome.steps import StepEvent
 from phfmu.signals import CONSTANT, ENERGY, HAPPENED, JUMPED, SignalKind, port_energy, total
 from phfmu.words import counted
@@ -44,15 +42,18 @@ class UnitHappenings:
         """After it, at time t."""
         if not self.names:
             return
-        after = self._unit.get(self.names)
-        change, self.found = after - self._before, []
-        if len(change) == 1:
-            if change[0]:
-                name = f"{self._member}: parameters in it"
-                self.found = [StepEvent(t, change, np.zeros(1), name, "parameters in the unit", "parameter")]
-        elif change[1]:
+        self.found = self.told(t, self._before, self._unit.get(self.names))
+
+    def told(self, t: float, before: Array, after: Array) -> list[StepEvent]:
+        """The event of a step that ended at time t, if values of `names` changed over it."""
+        change = after - before
+        if len(change) == 1 and change[0]:
+            name = f"{self._member}: parameters in it"
+            return [StepEvent(t, change, np.zeros(1), name, "parameters in the unit", "parameter")]
+        if len(change) > 1 and change[1]:
             words = f"{counted(int(change[1]), 'state event')} in the unit"
-            self.found = [StepEvent(float(after[2]), change[:1], change[3:], f"{self._member}: {words}", words)]
+            return [StepEvent(float(after[2]), change[:1], change[3:], f"{self._member}: {words}", words)]
+        return []
 
 
 Array = NDArray[np.float64]
@@ -286,14 +287,9 @@ class FMUMember:
         """Outputs of ports (..); those of signals are read by name."""
         return np.append(y, np.zeros(self.nu - len(y))) if self.nu > len(y) else y
 
-    def sensitivity(self, t: float, h: float, state: Any) -> Array:
-        try:
-            more = self.nu - self.unit.nu
-            return np.pad(self.unit.sensitivity(), (0, more)) if more else self.unit.sensitivity()
-        except StepFailure as failure:
-            if failure.status is not Status.NO_SENSITIVITY:
-                raise
-            return finite_differences(self, self._u, t, h, state, self.nominal)
+    def sensitivity(self) -> Array:
+        found, more = self.unit.sensitivity(), self.nu - self.unit.nu
+        return np.pad(found, (0, more)) if more else found
 
     def get_state(self) -> Any:
         state = self.unit.get_state()
@@ -325,9 +321,9 @@ class FMUMember:
         return book
 
     @property
-    def told_of_events(self) -> list[str]:
-        """Variables that only events of the unit change."""
-        return self._happened.names
+    def events_told(self) -> UnitHappenings:
+        """What it tells of events within its steps."""
+        return self._happened
 
     def happened(self) -> list[StepEvent]:
         return self._happened.found

@@ -16,7 +16,6 @@ from phfmu.engine.impulses import PortKernels, port_kernels
 from phfmu.gradients.quadrature import Nodes, gauss_nodes, nodes
 from phfmu.network.members.engine_member import EngineMember
 from phfmu.network.members.member import Member
-from phfmu.outcome.status import Status, StepFailure
 from phfmu.terms.port_impulses import PortImpulse
 
 if TYPE_CHECKING:
@@ -24,8 +23,6 @@ if TYPE_CHECKING:
     from phfmu.network.members.fmu_member import FMUMember
 
 Array = NDArray[np.float64]
-
-MOVE = 1e-6  # relative change of an input in differences
 
 
 class Offer(Protocol):
@@ -95,16 +92,17 @@ class NodeValues(Protocol):
         """Outputs at the nodes (k x nu) of a step with inputs U at them (k x nu), which it takes."""
         ...
 
-    def sensitivity(
-        self, inputs: list[int], kicked: bool, t: float, h: float, state: Any
-    ) -> tuple[Array, Array | None]:
-        """dY (k nu x columns) of the last step with respect to the inputs at node 1, 2, ..., then to impulses; dy_end."""
+    def sensitivity(self, inputs: list[int], kicked: bool) -> tuple[Array, Array | None]:
+        """dY (k nu x columns) of the last step with respect to the inputs at node 1, 2, ..., then to impulses; dy_end.
+
+        StepFailure (NO_SENSITIVITY) where the member does not know it.
+        """
         ...
 
     def jump(self) -> Array: ...
 
-    def add_impulse(self, s: Array, t: float, h: float, state: Any) -> None:
-        """One more impulse at the end of the step [t, t + h] that it has taken from `state`, which counts as part of it."""
+    def add_impulse(self, s: Array, state: Any) -> None:
+        """One more impulse at the end of the step that it has taken from `state`, which counts as part of it."""
         ...
 
 
@@ -126,68 +124,33 @@ class InstanceNodes:
     def __init__(self, member: EngineMember | FMUMember, rule: Nodes, offer: Offer | None):
         self.member, self.rule, self.offer = member, rule, offer
         self._instance = member.instance if isinstance(member, EngineMember) else member.unit.at_nodes
-        self._given: tuple[Array, tuple[Array, Array] | None] = np.zeros((self.rule.k, member.nu)), None
+        self._given: tuple[Array, tuple[Array, Array] | None, float, float] | None = None
 
     def step(self, U: Array, impulses: tuple[Array, Array] | None, t: float, h: float) -> Array:
         instance = self._instance
-        self._given = U, impulses
+        self._given = U, impulses, t, h
         instance.set_node_inputs(U)
         if impulses is not None:
             instance.set_impulses(*impulses)
         self.member.do_step(t, h)
         return instance.node_output()
 
-    def sensitivity(
-        self, inputs: list[int], kicked: bool, t: float, h: float, state: Any
-    ) -> tuple[Array, Array | None]:
-        try:
-            found = self._instance.node_sensitivity(inputs, impulses=kicked, end=kicked)
-        except StepFailure as failure:
-            if failure.status is not Status.NO_SENSITIVITY:
-                raise
-            return self._differences(inputs, kicked, t, h, state)
+    def sensitivity(self, inputs: list[int], kicked: bool) -> tuple[Array, Array | None]:
+        found = self._instance.node_sensitivity(inputs, impulses=kicked, end=kicked)
         return found.nodes.reshape(self.rule.k * self.member.nu, -1), found.end
 
     def jump(self) -> Array:
         return self._instance.jump()
 
-    def add_impulse(self, s: Array, t: float, h: float, state: Any) -> None:
-        U, given = self._given
+    def add_impulse(self, s: Array, state: Any) -> None:
         if isinstance(self.member, EngineMember):
             self.member.instance.add_impulse(s)
-        elif given is not None:  # units know impulses of the coming step only: it is taken again
+            return
+        assert self._given is not None
+        U, given, t, h = self._given
+        if given is not None:  # units know impulses of the coming step only: it is taken again
             self.member.set_state(state)
             self.step(U, (given[0], given[1] + s), t, h)
-
-    def _differences(
-        self, inputs: list[int], kicked: bool, t: float, h: float, state: Any
-    ) -> tuple[Array, Array | None]:
-        """One-sided differences with rollback; the member ends at t + h as it was."""
-        U, impulses = self._given
-        ends: list[Array] = []
-
-        def outputs(moved: Array, pair: tuple[Array, Array] | None) -> Array:
-            self.member.set_state(state)
-            Y = self.step(moved, pair, t, h)
-            ends.append(self.member.end_output() if kicked else np.zeros(0))
-            return np.concatenate([Y.ravel(), ends[-1]])
-
-        base, columns = outputs(U, impulses), []
-        for node in range(self.rule.k):
-            for j in inputs:
-                moved = U.copy()
-                moved[node, j] += MOVE * (self.member.nominal[j] + abs(U[node, j]))
-                columns.append((outputs(moved, impulses) - base) / (moved[node, j] - U[node, j]))
-        if kicked and impulses is not None:
-            size = MOVE * h * self.member.nominal[self.offer.kicked if self.offer else []]
-            for place in range(2 * len(size)):
-                pair = np.array(impulses)
-                pair.ravel()[place] += size[place % len(size)]
-                columns.append((outputs(U, (pair[0], pair[1])) - base) / size[place % len(size)])
-        outputs(U, impulses)
-        found = np.array(columns).T
-        split = self.rule.k * self.member.nu
-        return found[:split], found[split:] if kicked else None
 
 
 class HeldNodes:
@@ -203,15 +166,13 @@ class HeldNodes:
         self.member.do_step(t, h)
         return self.member.output()[None]
 
-    def sensitivity(
-        self, inputs: list[int], kicked: bool, t: float, h: float, state: Any
-    ) -> tuple[Array, Array | None]:
-        return self.member.sensitivity(t, h, state)[:, inputs], None
+    def sensitivity(self, inputs: list[int], kicked: bool) -> tuple[Array, Array | None]:
+        return self.member.sensitivity()[:, inputs], None
 
     def jump(self) -> Array:
         return np.zeros((0, 0))
 
-    def add_impulse(self, s: Array, t: float, h: float, state: Any) -> None:
+    def add_impulse(self, s: Array, state: Any) -> None:
         """It takes none."""
 
 

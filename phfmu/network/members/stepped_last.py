@@ -12,7 +12,7 @@ free motion is uniform.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,7 +94,7 @@ class SteppedLast:
     def end_output(self) -> Array:
         return self.inner.end_output()
 
-    def sensitivity(self, t: float, h: float, state: Any) -> Array:
+    def sensitivity(self) -> Array:
         return self._G
 
     def get_state(self) -> None:

@@ -23,9 +23,9 @@ def planned(network: Network, k: int) -> dict[str, Model]:
     return {name: build_model(replace(d, name=name), Collocated(k)) for name, d in network.declared.items()}
 
 
-def coupled(network: Network, k: int, compiled: bool = True, threads: int = 1) -> Stepper:
+def coupled(network: Network, k: int, threads: int = 1) -> Stepper:
     """Members under `Collocated(k)` in native engines."""
-    return joined(network, instances(planned(network, k)), compiled, threads)
+    return joined(network, instances(planned(network, k)), threads)
 
 
 def instances(models: Mapping[str, Model]) -> list[EngineMember]:
@@ -38,15 +38,14 @@ def instances(models: Mapping[str, Model]) -> list[EngineMember]:
 def joined(
     network: Network,
     members: list[EngineMember],
-    compiled: bool = True,
     threads: int = 1,
     coupling: Coupling | None = None,
 ) -> Coupled:
     """By default what members exchange at nodes is iterated."""
     from phfmu.network.couplings.coupled import Coupled
-    from phfmu.network.couplings.node_newton import newton
+    from phfmu.network.couplings.newton import newton
 
-    return Coupled(network, [*members], coupling or newton, compiled=compiled, threads=threads)
+    return Coupled(network, [*members], coupling or newton, threads=threads)
 
 
 def composed(network: Network, k: int) -> Stepper:

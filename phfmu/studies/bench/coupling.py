@@ -1,4 +1,4 @@
-"""Cost of stepping members apart: compiled, in Python, and composed; and how it grows with the members."""
+"""Cost of stepping members apart, and composed; and how it grows with the members."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from time import thread_time
 from typing import TYPE_CHECKING, Any
 
 from phfmu.studies.bench import own_time
-from phfmu.studies.bench.apart import composed, coupled, instances, joined, planned
+from phfmu.studies.bench.apart import composed, instances, joined, planned
 from phfmu.studies.bench.own_time import OwnTime
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 ROUNDS = 15  # turns that the median is of
 WARM = 20  # steps before, in which iterations find their start
-#: name -> step (s), steps of a turn composed and compiled, steps in Python
+#: name -> step (s)
 SCENES = {"oscillator": 1e-2, "drive": 1e-3, "smib": 1e-3, "two_machine": 1e-4}
 #: name -> step (s), where members take one held value
 HELD = {"oscillator": 1e-3, "drive": 1e-4, "smib": 2e-5, "ring": 1e-3}
@@ -31,7 +31,7 @@ LONG = 0.01  # s, their step
 
 @dataclass(frozen=True)
 class Row:
-    """CPU time of a step in us, medians over turns: composed, members apart compiled and in Python; median of the ratios.
+    """CPU time of a step in us, medians over turns: composed, members apart; median of the ratios.
 
     own, units: where the time goes per member and step, of native members and of the same as FMUs
     """
@@ -40,8 +40,7 @@ class Row:
     order: int
     members: int
     composed: float
-    compiled: float
-    python: float
+    apart: float
     ratio: float
     trials: float
     own: OwnTime
@@ -73,28 +72,25 @@ class _Clock:
 def measure(name: str, network: Network, h: float, k: int) -> Row:
     """Turn by turn, so that what else the machine does falls on all alike."""
     members = instances(planned(network, k))
-    clocks = [
-        _Clock(composed(network, k), h, 200), _Clock(joined(network, members), h, 200), _Clock(coupled(network, k, False), h, 3),
-    ]  # fmt: skip
+    clocks = [_Clock(composed(network, k), h, 200), _Clock(joined(network, members), h, 200)]
     for _ in range(ROUNDS):
         for clock in clocks:
             clock.turn()
-    one, two, three = (c.times for c in clocks)
+    one, two = (c.times for c in clocks)
     ratio = median(b / a for a, b in zip(one, two, strict=True))
     trials, apart = clocks[1].trials, median(two)
     own, unit = own_time.native(network, k, h), own_time.units(network, k, h)
-    return Row(name, 2 * k, len(members), median(one), apart, median(three), ratio, trials, own, unit)
+    return Row(name, 2 * k, len(members), median(one), apart, ratio, trials, own, unit)
 
 
 @dataclass(frozen=True)
 class CouplingRow:
-    """CPU time of a step in us, compiled and in Python, by one of the couplings with one held value; where the own time goes."""
+    """CPU time of a step in us by one of the couplings with one held value; where the own time goes."""
 
     network: str
     members: int
     coupling: str
-    compiled: float
-    python: float
+    step: float
     trials: float
     own: OwnTime
 
@@ -106,16 +102,13 @@ def by_coupling(name: str, network: Network, h: float) -> list[CouplingRow]:
     models, rows = planned(network, 1), list[CouplingRow]()
     for row in (r for r in COUPLINGS.values() if r.apart):
         try:
-            compiled = _Clock(joined(network, instances(models), coupling=row.kind()), h, 200)
+            clock = _Clock(joined(network, instances(models), coupling=row.kind()), h, 200)
         except ValueError:  # no output gives a junction its value
             continue
-        python = _Clock(joined(network, instances(models), False, coupling=row.kind()), h, 3)
         for _ in range(ROUNDS):
-            compiled.turn()
-            python.turn()
-        times = median(compiled.times), median(python.times)
+            clock.turn()
         own = own_time.native(network, 1, h, row.kind())
-        rows.append(CouplingRow(name, len(models), row.name, *times, compiled.trials, own))
+        rows.append(CouplingRow(name, len(models), row.name, median(clock.times), clock.trials, own))
     return rows
 
 
@@ -194,14 +187,14 @@ def table(scenes: Sequence[str] = (), progress: Callable[[str], None] = lambda _
     from phfmu.studies.bench.machine import load, processor
     from phfmu.target import scene
 
-    head = ["scene", "order", "members", "composed us", "apart us", "in Python us", "apart / composed", "trials"]
+    head = ["scene", "order", "members", "composed us", "apart us", "apart / composed", "trials"]
     lines, owns = ["| " + " | ".join(head) + " |", "|" + " --- |" * len(head)], []
     for name in scenes or SCENES:
         for k in (1, 2, 3):
             progress(f"{name}, order {2 * k}")
             network: Any = scene(name).system
             r = measure(name, network, SCENES[name], k)
-            cells = [r.name, r.order, r.members, f"{r.composed:.1f}", f"{r.compiled:.1f}", f"{r.python:.0f}",
+            cells = [r.name, r.order, r.members, f"{r.composed:.1f}", f"{r.apart:.1f}",
                      f"{r.ratio:.2f}", f"{r.trials:.1f}"]  # fmt: skip
             lines.append("| " + " | ".join(map(str, cells)) + " |")
             for kind, t in (("native", r.own), ("FMU", r.units)):
@@ -213,8 +206,7 @@ def table(scenes: Sequence[str] = (), progress: Callable[[str], None] = lambda _
         "network",
         "members",
         "coupling",
-        "compiled us",
-        "in Python us",
+        "step us",
         "trials",
         "exchange us",
         "join us",
@@ -226,7 +218,7 @@ def table(scenes: Sequence[str] = (), progress: Callable[[str], None] = lambda _
         progress(f"{name}, by all couplings")
         network = ring(RING) if name == "ring" else scene(name).system
         for c in by_coupling(name, network, h):
-            cells = [c.compiled, c.python, c.trials, c.own.exchange, c.own.join, c.own.solve, c.own.own]
+            cells = [c.step, c.trials, c.own.exchange, c.own.join, c.own.solve, c.own.own]
             lines.append(
                 f"| {c.network} | {c.members} | {c.coupling} | " + " | ".join(f"{x:.2f}" for x in cells) + " |"
             )

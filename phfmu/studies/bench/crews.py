@@ -72,7 +72,7 @@ class _Turns:
 def gain(members: int, links: int, threads: int) -> Gain:
     network = chains(members, links)
     models = planned(network, 1)
-    turns = [_Turns(joined(network, instances(models), True, n)) for n in (1, threads)]
+    turns = [_Turns(joined(network, instances(models), n)) for n in (1, threads)]
     turns.append(_Turns(composed(network, 1)))
     for _ in range(TURNS):
         for each in turns:

@@ -40,12 +40,12 @@ class OwnTime:
 
 
 def own_time(stepper: Coupled, h: float) -> OwnTime:
-    """The times of members that are stepped in compiled code, by one thread; RuntimeError if they are not."""
+    """The times of members that the compiled master steps itself, by one thread; RuntimeError if it calls some back."""
     from phfmu.network.couplings.compiled.master import PARTS
 
-    if stepper._master is None:
-        raise RuntimeError(f"members of {stepper.joined.network.name} are not stepped in compiled code")
-    spent, turns = stepper._master.timed(), list[tuple[float, list[float]]]()
+    if stepper.master.calls:
+        raise RuntimeError(f"members of {stepper.joined.network.name} are stepped in Python")
+    spent, turns = stepper.master.timed(), list[tuple[float, list[float]]]()
     stepper.check_start()
     stepper.prepare(0.0, h)
     stepper.advance(0.0, h, WARM)

@@ -16,7 +16,7 @@ from phfmu.studies.stress.drive import instance
 def coupled(net: Any, coupling: Any = None, parts: dict[str, int] | None = None, threads: int | None = None) -> Any:
     """Members of a network stepped apart, by Newton's method if no other coupling is given."""
     from phfmu.network.couplings.coupled import Coupled
-    from phfmu.network.couplings.node_newton import newton
+    from phfmu.network.couplings.newton import newton
     from phfmu.network.members.engine_member import EngineMember
 
     units = {n: instance(replace(d, name=n)) for n, d in net.members.items()}

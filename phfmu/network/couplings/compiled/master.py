@@ -1,14 +1,14 @@
-"""The master in compiled code: members of native engines and units, stepped and joined without returning to Python.
+"""The compiled master: members stepped and joined without returning to Python but for those that only Python can step.
 
-One loop for all couplings that are solvers of it (`solvers.py`).  They iterate as their files in Python do, with the same rules;
-equal to rounding, since linear systems are solved by the sparse factors of the runtime.  What does not go as usual is left to
-these: a step that is refused by the compiled loop is taken by them, or refused with their words.
+One loop for all couplings, which are solvers of it (`solvers.py`).  A step that a member refuses, or whose rows do not converge,
+ends a call with all members at its start, and is told as an exception.
 """
 
 from __future__ import annotations
 
 import ctypes
 from collections.abc import Sequence
+from dataclasses import replace
 from time import perf_counter
 from typing import Any
 
@@ -17,18 +17,22 @@ from numpy.typing import NDArray
 
 from phfmu.engine.native.structures import Structures
 from phfmu.gradients.quadrature import nodes
+from phfmu.network.couplings.acceptance import ACCEPTED
+from phfmu.network.couplings.compiled.called_share import CalledShare
 from phfmu.network.couplings.compiled.master_library import HEADER, START_TRIALS, library
 from phfmu.network.couplings.compiled.master_pattern import Exchanged, Part, Pattern, Told, exchanged
 from phfmu.network.couplings.compiled.shares import Make, Own, own_share, watched
 from phfmu.network.couplings.compiled.solvers import Solver, Tables, solver_of
 from phfmu.network.couplings.compiled.threads import Pace, crew
-from phfmu.network.couplings.coupling import Coupling, Solution
+from phfmu.network.couplings.coupling import Coupling, Solution, Unconverged
+from phfmu.network.couplings.newton import Newton
 from phfmu.network.couplings.signals.held_signals import HeldSignals
-from phfmu.network.couplings.unconverged import plain
+from phfmu.network.couplings.unconverged import Accepting, plain
 from phfmu.network.interface.end_sums import EndSums
+from phfmu.network.interface.instant import Instant
 from phfmu.network.interface.joined import Joined
-from phfmu.outcome.status import StepFailure
-from phfmu.outcome.steps import Steps
+from phfmu.outcome.status import Status, StepFailure
+from phfmu.outcome.steps import StepEvent, Steps
 from phfmu.plan.ordering import StructurallySingular
 from phfmu.schemes.impulses import POINTS
 
@@ -36,8 +40,6 @@ Array = NDArray[Any]
 
 #: what `timed` tells of, as `ph_part` does
 PARTS = ("join", "steps", "exchange", "solve")
-#: words for ph_accepted
-ACCEPTED = np.array(["", "energy", "rounding floor"])
 LEDGER = ("stored", "dissipated", "supplied", "numerical", "moved", "pairs")
 
 
@@ -54,22 +56,26 @@ class Master:
         threads: int | None = None,
         signals: HeldSignals | None = None,
     ):
-        self.joined, self.coupling, self.found, self._works = joined, coupling, found, works
-        #: after which members cannot be asked again
-        self.failure: StepFailure | None = None
-        #: threads used last
-        self.pace, self.threads = Pace(len(found.parts), threads), 1
+        self.joined, self.coupling, self.found, self._works = joined, plain(coupling), found, works
+        self._keeps = isinstance(coupling, Accepting)
+        #: why the last call did not take all of its steps;  whether the member that refused takes the step when asked again
+        self.refusal: BaseException | None = None
+        self.passing = False
         self._pattern, self.memory = Pattern(found), Structures(HEADER)
         self._lib = library()
-        self._inputs: list[Array] = []
+        self._inputs, self._shares = list[Array](), list[dict[str, Any]]()
         #: held signals that members take but by ports, as they are now
         self._taken = [np.zeros(len(p.taken)) for p in found.parts]
         self._own = [make(p, self.memory, self._lib) for make, p in zip(makes, found.parts, strict=True)]
+        #: whether some are stepped in Python, by one thread
+        self.calls = any(isinstance(own, CalledShare) for own in self._own)
+        #: threads used last
+        self.pace, self.threads = Pace(len(found.parts), 1 if self.calls else threads), 1
         self._signals, self._held = signals, None if signals is None else self._held_wires(signals)
         shares = [self._share(i, own) for i, own in enumerate(self._own)]
         tables = Tables(joined, found, self._pattern, self.memory, self._lib, np.zeros(found.size))
         self._z = tables.z
-        self._solver: Solver = solver_of(coupling)(coupling, tables)
+        self._solver: Solver = solver_of(self.coupling)(self.coupling, tables)
         #: the solution and length of the last step that was taken here, which the memory of the loop goes on from
         self._left: tuple[Solution, float] | None = None
         #: steps that were taken here;  rules of the iteration (`ph_rules`)
@@ -79,12 +85,12 @@ class Master:
         self._lib.ph_master_lu_init(ctypes.addressof(self._struct))
 
     def advance(self, last: Solution, sums: EndSums, grid: tuple[float, float, int], n: int) -> tuple[Steps, Solution]:
-        """As many of n steps k = first.. from t0 + k h (grid: t0, h, first) as go as usual, and the last of their solutions.
+        """As many of n steps k = first.. from t0 + k h (grid: t0, h, first) as are accepted, and where the next goes on from.
 
-        The members are at the end of these.  The first steps of a run tell how long a trial takes, and what threads gain.
+        `refusal` says why these are not all.
         """
-        parts: list[Steps] = []
         t0, h, first = grid
+        parts, self.refusal = list[Steps](), None
         while n:
             k, self.threads = self.pace.part(n)
             steps, last = self._advance(last, sums, (t0, h, first), k)
@@ -93,13 +99,27 @@ class Master:
             first, n = first + k, n - k if len(steps.H) == k else 0
         return Steps.joined(parts) if parts else Steps.stacked([]), last
 
-    def prepare(self, guess: Array, t0: float, h: float) -> tuple[Array, Array] | None:
-        """Junction unknowns before the first step: means of a trial step, and those of the instant; None: this one cannot.
+    def recorded(self, sums: EndSums, t: float, h: float, steps: Steps) -> Steps:
+        """The record of the one step that was taken last, from t by h, read again from members that have changed since."""
+        for own in self._own:
+            own.begin(1)
+        rows = [np.empty((1, own.values["length"])) for own in self._own]
+        for struct, row in zip(self._array, rows, strict=True):
+            struct.record = row.ctypes.data
+        if self._lib.ph_shares_finish(ctypes.addressof(self._struct), 0):
+            raise self._refused(t, h)
+        n, e = len(self.joined.face.names), self.found.columns
+        told = self._steps(self._told(rows, t, h), self._xi[:, :n], self._xi[:, e : e + n], sums, h)
+        return replace(
+            steps, signals=told["signals"], H=told["H"], events=told["events"], **{k: told[k] for k in LEDGER}
+        )
 
-        `guess`: where the trial starts from.  The members stay where they are.
+    def prepare(self, guess: Array, t0: float, h: float, limit: bool = True) -> tuple[Array, Array] | None:
+        """Junction unknowns before the first step: means of a trial step, and those of the instant.
+
+        guess:  where the trial starts from;  limit: whether those of the instant are the limit of short steps, or the same means
+        The members stay where they are.  None: `refusal` says why.
         """
-        if not self._solver.prepares:
-            return None
         e, s, n = self.found, self._struct, len(self.joined.face.names)
         start, (mean, begin) = self._solver.spread(guess), np.zeros((2, e.columns))
         rows = [np.empty((1, own.values["length"])) for own in self._own]
@@ -116,12 +136,15 @@ class Master:
             None,
         )
         samples = self._begin_held(1)
+        self._left = None
+        for own in self._own:
+            own.begin(1)
         arrays = (start.ctypes.data, mean.ctypes.data, begin.ctypes.data)
         with watched(self._own):
-            status = self._lib.ph_master_prepare(ctypes.addressof(s), t0, h, *arrays)
+            status = self._lib.ph_master_prepare(ctypes.addressof(s), t0, h, START_TRIALS if limit else 1, *arrays)
         del samples
-        self.failure = next((f for own in self._own if (f := own.failure())), None)
-        return None if status or self.failure else (mean[:n], begin[:n])
+        self.refusal = self._refused(t0, h) if status else None
+        return None if status else (mean[:n], begin[:n])
 
     @property
     def solver(self) -> str:
@@ -161,19 +184,22 @@ class Master:
             self._signals.took(samples[:done], self._before if self._held.known else None, self._held.last)
         self.taken += done
         self.pace.took(self.threads, done, np.maximum(trials[:done], 1), spent)
-        self.failure = next((f for own in self._own if (f := own.failure())), None)
+        t = t0 + (first + done) * h
+        self.refusal = self._refused(t, h) if done < n else None
         if done == 0:
             return Steps.stacked([]), last
         for own, rows, u in zip(self._own, members, self._inputs, strict=True):
             own.finish(t0 + (first + done - 1) * h, h, rows[done - 1], u)
-        names = len(self.joined.face.names)  # signals are no columns
+        names, self._xi = len(self.joined.face.names), xi[done - 1 : done]  # signals are no columns
         xi, end = xi[:done, :names], xi[:done, e.columns : e.columns + names]
-        rows = self._steps([own.told(m[:done], h) for own, m in zip(self._own, members, strict=True)], xi, end, sums)
+        told = self._told([m[:done] for m in members], t0 + first * h, h)
+        rows = self._steps(told, xi, end, sums, h)
         if works is not None:
-            rows["works"] = works[:done, e.unpacked]
-        solution = self._solution(xi[done - 1].copy(), int(trials[done - 1]), str(ACCEPTED[accepted[done - 1]]), h)
+            rows["works"] = np.hstack([works[:done, e.unpacked], *self._estimated(told, xi, h)])
+        solution = Solution(xi[-1].copy(), end[-1].copy(), h, self._solver.memory(self._struct))
         self._left = solution, h
-        return Steps(**rows, iterations=trials[:done], accepted_by=ACCEPTED[accepted[:done]]), solution
+        by = np.array(ACCEPTED)[accepted[:done]] if self._solver.words else None
+        return Steps(**rows, iterations=trials[:done], accepted_by=by), solution
 
     def _run(self, grid: tuple[float, float, int], n: int, next_: int) -> tuple[int, float]:
         """Steps that were taken, seconds.  A crash in a unit tells its name."""
@@ -203,23 +229,105 @@ class Master:
             return 1
         return int(self._solver.begin(self._struct, last, h))
 
-    def _solution(self, xi: Array, trials: int, accepted_by: str, h: float) -> Solution:
-        if self.failure:  # nobody goes on from here
-            return Solution(xi, np.zeros(len(self.joined.free)), trials, accepted_by)
-        y = np.concatenate([p.member.output() for p in self.found.parts])
-        return self._solver.solution(self._struct, Solution(xi, y, trials, accepted_by), h)
+    def _told(self, members: list[Array], t: float, h: float) -> list[Told]:
+        """Fields of the rows of all members, of steps from t."""
+        return [own.told(m, t, h) for own, m in zip(self._own, members, strict=True)]
 
-    def _steps(self, members: list[Told], xi: Array, end: Array, sums: EndSums) -> dict[str, Any]:
+    def _steps(self, members: list[Told], xi: Array, end: Array, sums: EndSums, h: float) -> dict[str, Any]:
         """Fields of `Steps` from what was recorded."""
         signals = [*(m.columns for m in members), xi, sums.of_rows(end, np.hstack([m.ends for m in members]))]
         rows = {"signals": np.hstack(signals), "H": np.hstack([m.H for m in members])}
-        return rows | {name: np.hstack([m.books[name] for m in members]) for name in LEDGER}
+        rows |= {name: np.hstack([m.books[name] for m in members]) for name in LEDGER}
+        return rows | {"events": tuple(self._events(members))}
+
+    def _events(self, members: list[Told]) -> list[tuple[int, StepEvent]]:
+        """Events within the steps, by number of the step and in order of time; energies by component of all."""
+        n, found = len(self.joined.booking.components), list[tuple[int, StepEvent]]()
+        for part, m in zip(self.found.parts, members, strict=True):
+            own = self.joined.components(part.member.name) if m.events else slice(0, 0)
+            for i, e in m.events:
+                energy, lost = np.zeros((2, n))
+                energy[own], lost[own] = e.energy, e.lost
+                found.append((i, replace(e, energy=energy, lost=lost)))
+        return sorted(found, key=lambda f: (f[0], f[1].t))
+
+    def _estimated(self, members: list[Told], xi: Array, h: float) -> list[Array]:
+        """Energies at junctions that predictions of members miss, by column [J], if there are such members."""
+        if not self.joined.put_off:
+            return []
+        missed = [
+            np.zeros((len(xi), p.member.nu)) if m.missed is None else m.missed
+            for p, m in zip(self.found.parts, members, strict=True)
+        ]
+        return [h * xi * np.array([self.joined.face.summed(y) for y in np.hstack(missed)])]
+
+    # -- refusals -------------------------------------------------------------------------------------------------
+
+    def _refused(self, t: float, h: float) -> BaseException:
+        """Why the step from t by h, of which the members are at the start, was not taken."""
+        status, self.passing = list(Status)[self._struct.refused], False
+        told = next((f for own in self._own if (f := own.failure())), self._solver.failure)
+        if told is not None:
+            return told
+        for i in np.flatnonzero(self._status).tolist():
+            return self._of_member(i, t, h, status)
+        if not self._solver.words:
+            return self._of_instant(t, h, status)
+        e, s, n = self.found, self._struct, self.found.nodes
+        rows, size, z = (np.ctypeslib.as_array(self._arrays[name]) for name in ("rows", "size", "z"))
+        left = np.abs(rows[: n + len(e.bare)])
+        scaled = np.nan_to_num(left / (size[: len(left)] + e.least), nan=np.inf)
+        worst = int(np.argmax(scaled)) if len(scaled) else 0
+        names = column_names(self.joined, self.coupling)
+        name = names[int([*e.column, *e.bare][worst])] if len(scaled) else ""
+        history = self._arrays["history"][: s.ntrial].tolist()
+        last = ", ".join(f"{v:.3g}" for v in history[-3:])
+        row = f"junction row of {name}{self._at(worst)} = {z[worst] if worst < n else 0.0:.6g}"
+        return Unconverged(
+            status, self.joined.network.name, t, h, equation=row, residual=float(left[worst]) if len(left) else float("nan"),
+            iterations=len(history), tried=f"{self._solver.words} (last scaled residuals {last}); all members are back at t",
+            joined=True, history=history, composable=self.joined.network.composable,
+        )  # fmt: skip
+
+    def _at(self, row: int) -> str:
+        """Where in the step a row is."""
+        if row >= self.found.nodes:
+            return " at the end of the step"
+        column = self.found.column[row]
+        first = int(np.argmax(self.found.column == column))
+        return "" if self._solver.held else f" at node {row - first + 1}"
+
+    def _of_member(self, i: int, t: float, h: float, status: Status) -> BaseException:
+        """The refusal of a member that does not say why: it is asked once more from Python, and brought back."""
+        part, inputs = self.found.parts[i], self._inputs[i].reshape(self.found.parts[i].k, -1).copy()
+        s = self._shares[i]["s"]
+        state = part.member.get_state()
+        try:
+            part.values.step(inputs, (s[: part.kicks].copy(), s[part.kicks :].copy()) if part.kicks else None, t, h)
+            part.member.end_output()
+            part.member.energies()
+            part.member.read()
+        except BaseException as error:
+            return error
+        finally:
+            part.member.set_state(state)
+        self.passing = True
+        name = part.member.name or self.joined.network.name
+        return StepFailure(status, name, t, h, tried="the step of this member, under the inputs that the others give")
+
+    def _of_instant(self, t: float, h: float, status: Status) -> BaseException:
+        """The refusal of a coupling that solves for the junctions at the start of the step."""
+        try:
+            Instant().solve(self.joined, self._z[: len(self.joined.face.names)].copy(), t)
+        except (StepFailure, ValueError) as error:
+            return error
+        return StepFailure(status, self.joined.network.name, t, h, joined=True, tried="the junctions at one instant")
 
     # -- structures -----------------------------------------------------------------------------------------------
 
     def _share(self, i: int, own: Own) -> Any:
-        part, nu = self.found.parts[i], self.found.parts[i].member.nu
-        kn, all_ = part.k * nu, part.directions
+        part = self.found.parts[i]
+        nu, kn, all_ = part.nu, part.k * part.nu, part.directions
         self._inputs.append(np.zeros(kn))
         values = own.values | {
             "nu": nu, "k": part.k,
@@ -229,14 +337,21 @@ class Master:
             "kicked_output": part.kicked_output, "right_direction": part.right_direction,
             "right_col": part.right_col, "right": part.right, "left_output": part.left_output, "left_row": part.left_row,
             "left": part.left, "jump_entry": _jump_entries(part, self.found), "weights": part.weights,
-            "at_end": nodes(part.k).value(1.0), "nominal": np.asarray(part.member.nominal, float), "now": np.zeros(nu),
-            "free": self.joined.free[self.joined.places[i]].ctypes.data,
+            "at_end": nodes(part.k).value(1.0), "nominal": _padded(part.member.nominal, nu), "now": np.zeros(nu),
+            "free": self._free(i),
             "told": np.zeros(len(part.told)), "taken": self._taken[i], "given": None,
             "u": self._inputs[-1], "s": np.zeros(2 * part.kicks),
             "y": np.zeros(kn + nu), "dy": np.zeros((all_, kn)), "dend": np.zeros((all_, nu)),
             "across": np.zeros((len(part.row), all_)), "jump": np.zeros(part.kicks**2), "record": None, "clock": None,
         }  # fmt: skip
+        own.bind(values)
+        self._shares.append(values)
         return self.memory.fill("ph_share", values)
+
+    def _free(self, i: int) -> Any:
+        """Inputs that nothing feeds, where they are; a relation has none."""
+        free = self.joined.free[self.joined.places[i]]
+        return free.ctypes.data if self.found.parts[i].nu == len(free) else np.zeros(self.found.parts[i].nu)
 
     def _held_wires(self, signals: HeldSignals) -> Any:
         e, joined, wires = self.found, self.joined, signals.held
@@ -276,7 +391,7 @@ class Master:
         return rows
 
     def _rules(self) -> dict[str, Any]:
-        return {"held": self._solver.held, "iterations": self._solver.iterations}
+        return {"held": self._solver.held, "iterations": self._solver.iterations, "accept": self._keeps}
 
     def _values(self) -> dict[str, Any]:
         e, p, n = self.found, self._pattern, self.found.size
@@ -284,13 +399,18 @@ class Master:
         angles = (2 * np.arange(POINTS) + 1) * np.pi / (4 * POINTS)
         nominal = np.full(e.columns, np.inf)  # signals are no columns
         nominal[: len(self.joined.face.names)] = self.joined.face.nominal
-        work = {name: np.zeros(n) for name in ("rows", "size", "move", "scale", "plain")}
+        work: dict[str, Any] = {name: np.zeros(n) for name in ("rows", "size", "move", "scale", "plain", "best")}
+        work["history"] = np.zeros(self._solver.iterations)
         work |= {name: np.zeros(square) for name in ("S0", "S1", "mixed", "T")}
         work |= {name: np.zeros(len(e.bare)) for name in ("moved", "sums")}
         work |= {"a": p.a, "scaled": np.zeros(len(p.rowind))}
+        self._status = np.zeros(len(e.parts), np.int32)
         lu = np.zeros(self._lib.ph_master_lu_size(n, len(p.rowind), p.capacity) // 8 + 1)
-        return work | self._solver.fields | {
-            "solver": getattr(self._lib, f"ph_solver_{self._solver.name}")(),
+        if name := self._solver.name:
+            work["solver"] = getattr(self._lib, f"ph_solver_{name}")()
+        work |= self._solver.fields
+        self._arrays = work | {"z": self._z}
+        return work | {
             "held": None if self._held is None else ctypes.addressof(self._held),
             "rules": ctypes.addressof(self.rules), "shares": self._array,
             "nshare": len(e.parts), "nxi": e.nodes, "nbare": len(e.bare), "ncolumn": e.columns, "nskew": len(e.skew),
@@ -304,9 +424,9 @@ class Master:
             "least": e.least, "cluster": e.cluster, "square": e.square, "law_entry": p.law, "own_entry": p.own,
             "signs": e.signs, "ahead_to": e.ahead_to, "ahead_from": e.ahead_from, "ahead": e.ahead,
             "colptr": p.colptr, "rowind": p.rowind, "order": p.order, "prefer": p.prefer, "z": self._z,
-            "known": 0, "row": 0,
+            "known": 0, "row": 0, "ntrial": 0, "time": 0.0, "length": 0.0,
             "lu": lu, "crew": None,
-            "status": np.zeros(len(e.parts), np.int32), "cost": None, "clock": None, "xi": None, "work": None, "trials": None,
+            "status": self._status, "cost": None, "clock": None, "xi": None, "work": None, "trials": None,
             "accepted": None,
         }  # fmt: skip
 
@@ -320,26 +440,39 @@ def _jump_entries(part: Part, found: Exchanged) -> Array:
     return np.where((at[:, None] >= 0) & (at >= 0), entries, -1).astype(np.int32).ravel()
 
 
+def column_names(joined: Joined, coupling: Coupling) -> Sequence[str]:
+    """Names of junction variables, then of signals and unknowns of relations that are exchanged at nodes."""
+    exchange = coupling.exchange if isinstance(coupling, Newton) else None
+    return exchange.names if exchange else joined.face.names
+
+
+def _padded(values: Array, n: int) -> Array:
+    return np.append(np.asarray(values, float), np.ones(n - len(values)))
+
+
 def master(
     joined: Joined,
     coupling: Coupling,
     works: bool = False,
     threads: int | None = None,
     signals: HeldSignals | None = None,
-) -> Master | None:
-    """The compiled twin of a coupling; None for couplings, or members, that have none.
+) -> Master:
+    """The compiled steps of members under a coupling; what is done with steps that do not converge is asked of its policy.
 
-    What is done with steps that do not converge is done in Python, with these only.  `works`: whether energies of unknowns at
-    their junctions are wanted;  `threads`: None chooses;  `signals`: those that are held over steps.
+    `works`: whether energies of unknowns at their junctions are wanted;  `threads`: None chooses;  `signals`: those that are held
+    over steps by the master, None: by others, or there are none.  Errors: StepFailure where the rows of the junctions cannot be
+    solved whatever the members do.
     """
-    coupling = plain(coupling)
-    if solver_of(coupling) is None:
-        return None
-    makes = [make for m in joined.members if (make := own_share(m))]
-    if len(makes) < len(joined.members):
-        return None
+    makes = [own_share(m) for m in joined.members]
+    held = signals.held if signals else ()
+    found = exchanged(joined, plain(coupling), held)
     try:
-        held = signals.held if signals else ()
-        return Master(joined, coupling, exchanged(joined, coupling, held), makes, works, threads, signals)
-    except StructurallySingular:  # the twin tells where
-        return None
+        return Master(joined, coupling, found, makes, works, threads, signals)
+    except StructurallySingular as error:
+        names = column_names(joined, plain(coupling))
+        columns = [*found.column, *found.bare, *found.bare]
+        rows = dict.fromkeys(str(names[columns[r]]) for r in error.rows)
+        raise Unconverged(
+            Status.SINGULAR, joined.network.name, 0.0, 0.0, equation=f"junction row of {', '.join(rows)}", joined=True,
+            composable=joined.network.composable, tried="the rows of the junctions before the first step",
+        ) from None  # fmt: skip

@@ -49,7 +49,8 @@ def library() -> ctypes.CDLL:
         [pointer, *[ctypes.c_double] * 2, integer, ctypes.c_longlong, integer],
     )
     prepare = lib.ph_master_prepare
-    prepare.restype, prepare.argtypes = integer, [pointer, *[ctypes.c_double] * 2, *[pointer] * 3]
+    prepare.restype, prepare.argtypes = integer, [pointer, *[ctypes.c_double] * 2, integer, *[pointer] * 3]
+    lib.ph_shares_finish.restype, lib.ph_shares_finish.argtypes = integer, [pointer, integer]
     lib.ph_crew_size.restype, lib.ph_crew_size.argtypes = ctypes.c_size_t, []
     lib.ph_matrix_factor.restype, lib.ph_matrix_factor.argtypes = integer, [pointer]
     solvers = (f"ph_solver_{name}" for name in ("newton", "anderson", "in_turn"))

@@ -8,19 +8,19 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array, csc_array
+from scipy.sparse import coo_array
 
 from phfmu.engine.build.derived import factor_room
 from phfmu.gradients.quadrature import nodes
 from phfmu.network.couplings.coupling import Coupling
-from phfmu.network.couplings.node_newton import NodeNewton
+from phfmu.network.couplings.newton import Newton
 from phfmu.network.interface.bare_columns import Clusters
-from phfmu.network.interface.exchange import Share
+from phfmu.network.interface.exchange import Exchange, Share
 from phfmu.network.interface.joined import Joined
-from phfmu.network.interface.matrices import small
 from phfmu.network.members.member import Member
-from phfmu.network.members.node_values import HeldNodes
+from phfmu.network.members.node_values import HeldNodes, NodeValues
 from phfmu.network.wires import Wire
+from phfmu.outcome.steps import StepEvent
 from phfmu.plan.ordering import elimination_order
 
 Array = NDArray[Any]
@@ -31,8 +31,9 @@ Ints = NDArray[np.int32]
 class Part:
     """The lists of `ph_share` for a member."""
 
-    member: Member
-    held: bool
+    values: NodeValues
+    #: of inputs, with the unknowns of a relation
+    nu: int
     k: int
     weights: Array
     inputs: Ints
@@ -53,18 +54,32 @@ class Part:
     taken: list[str]
 
     @property
+    def member(self) -> Member:
+        return self.values.member
+
+    @property
+    def held(self) -> bool:
+        """Whether it takes one held value of each input."""
+        return isinstance(self.values, HeldNodes)
+
+    @property
     def directions(self) -> int:
         return len(self.inputs) + 2 * len(self.kicked)
 
 
 @dataclass(frozen=True)
 class Told:
-    """Rows of a member, one a step: its columns, stored energies, outputs at the end, and its ledger."""
+    """Rows of a member, one a step: its columns, stored energies, outputs at the end, and its ledger.
+
+    events: numbers of steps, and what happened in them;  missed: outputs less those that the step was found with
+    """
 
     columns: Array
     H: Array
     ends: Array
     books: dict[str, Array]
+    events: tuple[tuple[int, StepEvent], ...] = ()
+    missed: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -101,15 +116,6 @@ class Exchanged:
     def size(self) -> int:
         return self.nodes + 2 * len(self.bare)
 
-    def pack(self, z: Array) -> Array:
-        """Unknowns as the exchange has them -> as they stand here."""
-        m = z[self.nodes :].reshape(2, -1)
-        return np.concatenate([z[: self.nodes], m[0][self.place], m[1][self.place]])
-
-    def unpack(self, z: Array) -> Array:
-        """And back."""
-        return z[self.unpacked]
-
     @property
     def unpacked(self) -> Ints:
         """Places of the unknowns of the exchange here."""
@@ -119,8 +125,7 @@ class Exchanged:
 
 def exchanged(joined: Joined, coupling: Coupling, held: Sequence[Wire] = ()) -> Exchanged:
     """The exchange of members under a coupling; `held`: signals that are held over a step."""
-    if isinstance(coupling, NodeNewton):
-        e = coupling.exchange
+    if e := _exchange(coupling):
         shares, columns, C, weights, k, bare = e.shares, e.columns, e.C, e.weights, e.counts, e.bare
         clusters, nominal, at_ends = e.clusters, e.row_nominal, e.at_ends
         at_starts = np.concatenate([*(nodes(int(n)).value(0.0) for n in k), np.zeros(0)])
@@ -148,8 +153,14 @@ def exchanged(joined: Joined, coupling: Coupling, held: Sequence[Wire] = ()) -> 
     )  # fmt: skip
 
 
+def _exchange(coupling: Coupling) -> Exchange | None:
+    """Of node values; None: one held value each."""
+    return coupling.exchange if isinstance(coupling, Newton) else None
+
+
 def _wires(joined: Joined, coupling: Coupling) -> tuple[Ints, Array]:
-    numbers = coupling.exchange.wires if isinstance(coupling, NodeNewton) else []
+    exchange = _exchange(coupling)
+    numbers = exchange.wires if exchange else []
     own, found = {m.name: i for i, m in enumerate(joined.members)}, [joined.network.wires[i] for i in numbers]
     first = [p.start for p in joined.places]
     rows = [
@@ -189,8 +200,10 @@ def _held_signals(joined: Joined, member: Member, held: Sequence[Wire]) -> tuple
 
 def _part(s: Share, where: Array, n: int, told: list[str], taken: list[str]) -> Part:
     """`where`: each bare column stands, `n`: unknowns at nodes."""
-    member, rule = s.values.member, s.values.rule
+    rule = s.values.rule
     kicks, own, inputs = len(s.Q) if s.kicked else 0, s.own, np.array(s.fed_rows, np.int32)
+    if not s.back.any():  # of a relation, whose rows are in C
+        inputs = np.flatnonzero(s.to.any(axis=1)).astype(np.int32)
     fed = s.to[inputs]
     right = [(d, c, fed[d, c]) for d, c in np.argwhere(fed)]
     left = [(i, r, s.back[r, i]) for r, i in np.argwhere(s.back)]
@@ -205,10 +218,10 @@ def _part(s: Share, where: Array, n: int, told: list[str], taken: list[str]) -> 
                 (len(inputs) + d, len(own) + c, s.Q[i, c]),
                 (len(inputs) + len(kicked) + d, len(own) + len(mine) + c, s.Q[i, c]),
             ]
-        left += [(rule.k * member.nu + i, len(own) + c, s.ends[i, c]) for i, c in np.argwhere(s.ends)]
+        left += [(len(s.to) + i, len(own) + c, s.ends[i, c]) for i, c in np.argwhere(s.ends)]
     col = np.concatenate([own, n + mine, n + len(where) + mine])
     return Part(
-        member, isinstance(s.values, HeldNodes), rule.k, rule.b, inputs, kicks, bare, kicked, outputs,
+        s.values, len(s.to) // rule.k, rule.k, rule.b, inputs, kicks, bare, kicked, outputs,
         col.astype(np.int32), col[: len(own) + len(mine)].astype(np.int32),
         *(np.array([r[i] for r in right], kind) for i, kind in enumerate((np.int32, np.int32, float))),
         *(np.array([v[i] for v in left], kind) for i, kind in enumerate((np.int32, np.int32, float))),
@@ -241,18 +254,7 @@ class Pattern:
         self.colptr = np.searchsorted(columns, np.arange(n + 1)).astype(np.int32)
         ends = np.cumsum([len(b[0]) for b in blocks])[:-1]
         *self.entries, self.skew, self.law, self.own = (a.astype(np.int32) for a in np.split(where, ends))
-        self._columns = columns
         #: numbers of the matrix, which the master fills in
         self.a = np.zeros(len(self.rowind))
         self.order, self.prefer = elimination_order(n, self.rowind, columns, np.zeros(0, np.int32))
         self.capacity = max(1, factor_room(self.rowind, self.colptr, self.order, self.prefer))
-
-    def take(self, matrix: Any) -> None:
-        """Numbers of a matrix of this pattern, an array or sparse."""
-        self.a[:] = np.asarray(matrix[self.rowind, self._columns]).ravel()
-
-    def matrix(self) -> Any:
-        """The matrix, as `assembled` makes it."""
-        n = len(self.colptr) - 1
-        found = csc_array((self.a.copy(), self.rowind, self.colptr), shape=(n, n))
-        return small(found)

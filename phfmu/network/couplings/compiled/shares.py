@@ -1,12 +1,13 @@
-"""Members that the compiled master steps itself: native instances, and units of this package in this process.
+"""Members as the compiled master sees them: native instances, and units of this package in this process, which it steps itself,
+and all others, which it calls back.
 
-A native member as the compiled master sees it: `ph_native`, and what its rows tell.
+A native member: `ph_native`, and what its rows tell.
 """
 
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -15,11 +16,11 @@ from numpy.typing import NDArray
 
 from phfmu.engine.native.native import NativeInstance
 from phfmu.engine.native.structures import Structures
+from phfmu.network.couplings.compiled.called_share import CalledShare
 from phfmu.network.couplings.compiled.master_library import CALLED
 from phfmu.network.couplings.compiled.master_pattern import Part, Told
 from phfmu.network.members.engine_member import EngineMember
 from phfmu.network.members.member import Member
-from phfmu.outcome.status import StepFailure
 
 if TYPE_CHECKING:
     from phfmu.network.couplings.compiled.unit_share import UnitShare
@@ -67,6 +68,9 @@ class NativeShare:
         }  # fmt: skip
         return m.fill("ph_native", values)
 
+    def bind(self, values: Mapping[str, Any]) -> None:
+        """It has memory of its own."""
+
     def begin(self, n: int) -> None:
         self._member.instance.expect(n * self._member.parts)
 
@@ -78,7 +82,7 @@ class NativeShare:
     def failure(self) -> None:
         """It can always be asked again."""
 
-    def told(self, rows: Array, h: float) -> Told:
+    def told(self, rows: Array, t: float, h: float) -> Told:
         """Fields of its rows."""
         m, at, books = self._member, self._signals, dict[str, Array]()
         for name in ("stored", "dissipated", "supplied", "numerical", "moved", "pairs"):
@@ -95,6 +99,10 @@ class Own(Protocol):
 
     values: dict[str, Any]
 
+    def bind(self, values: Mapping[str, Any]) -> None:
+        """Fields of its `ph_share`, which the master works on."""
+        ...
+
     def begin(self, n: int) -> None:
         """Before at most n steps."""
         ...
@@ -103,12 +111,12 @@ class Own(Protocol):
         """The last step that was taken, from t by h under inputs u, has this row."""
         ...
 
-    def failure(self) -> StepFailure | None:
-        """The failure of the last step, if it cannot be asked again; else what refused one is left to the loop in Python."""
+    def failure(self) -> BaseException | None:
+        """Why it refused the last step, where it knows or cannot be asked again; else it is asked for the step once more."""
         ...
 
-    def told(self, rows: Array, h: float) -> Told:
-        """Fields of its rows, of steps of length h."""
+    def told(self, rows: Array, t: float, h: float) -> Told:
+        """Fields of its rows, of steps of length h from t."""
         ...
 
 
@@ -116,20 +124,20 @@ class Own(Protocol):
 Make = Callable[[Part, Structures, ctypes.CDLL], Own]
 
 
-def own_share(member: Member) -> Make | None:
-    """The maker of the share of a member; None of those that are stepped in Python, and that take no step back."""
+def own_share(member: Member) -> Make:
+    """The maker of the share of a member: what the master can step itself, and back, it does; others are called back."""
     if not member.saves:
-        return None
+        return CalledShare
     if isinstance(member, EngineMember):
         native = isinstance(member.instance, NativeInstance) and member.model.events is None
-        return NativeShare if native else None
-    return _unit_share(member)
+        return NativeShare if native else CalledShare
+    return _unit_share(member) or CalledShare
 
 
 @contextmanager
 def watched(shares: Sequence[Own]) -> Iterator[None]:
     """While compiled code steps them, a crash in a unit tells its name."""
-    if all(isinstance(s, NativeShare) for s in shares):
+    if all(isinstance(s, NativeShare | CalledShare) for s in shares):
         yield
         return
     from phfmu.fmu.isolation import exit_guard

@@ -1,11 +1,13 @@
-"""The couplings that the compiled master has: which of its solvers each is, where a call starts and what one leaves.
+"""Which solver of the compiled master each coupling is, where a call starts and what one leaves.
 
-A solver in C (`ph_solver`) remembers what its coupling in Python keeps in solutions; each goes on from what the other left.
+A solver in C (`ph_solver`) remembers what the next step goes on from.  Solutions keep a copy of it, so that
+a run can go on from an earlier step.
 """
 
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -15,13 +17,12 @@ from numpy.typing import NDArray
 from phfmu.engine.native.structures import Structures
 from phfmu.network.couplings import anderson
 from phfmu.network.couplings.acceptance import ITERATIONS, KNOWN
-from phfmu.network.couplings.anderson import Anderson, Memory, Remembered
+from phfmu.network.couplings.anderson import Anderson, Memory
 from phfmu.network.couplings.compiled.master_pattern import Exchanged, Pattern
-from phfmu.network.couplings.coupling import Coupling, Solution
+from phfmu.network.couplings.coupling import Coupling, Moves, Solution, Starts
 from phfmu.network.couplings.gauss_seidel import GaussSeidel
 from phfmu.network.couplings.jacobi import Jacobi
-from phfmu.network.couplings.newton import Newton
-from phfmu.network.couplings.node_newton import NodeNewton, NodeSolution, Unknowns
+from phfmu.network.couplings.newton import Continuation, Newton
 from phfmu.network.interface.hidden import hidden_part
 from phfmu.network.interface.joined import Joined
 from phfmu.network.interface.matrices import assembled
@@ -46,71 +47,67 @@ class Solver(Protocol):
 
     name:        of the function that tells it, less `ph_solver_`
     held:        whether members exchange one held value each;  iterations: trials at most
-    prepares:    whether it finds the junction unknowns before the first step
+    words:       what it is, for failures; "" where it does not iterate
     fields:      of `ph_master` that are its own
+    failure:     what a rule in Python raised in the last call
     """
+
+    failure: Exception | None
 
     name: str
     held: bool
     iterations: int
-    prepares: bool
+    words: str
     fields: dict[str, Any]
 
     def spread(self, xi: Array) -> Array:
-        """Values of all columns, those of junctions being xi; where it prepares."""
+        """Values of all columns, those of junctions being xi."""
         ...
 
     def begin(self, struct: Any, last: Solution, h: float) -> bool:
         """The first step starts from `last`, which this has not left; whether as its continuation."""
         ...
 
-    def solution(self, struct: Any, plain: Solution, h: float) -> Solution:
-        """The solution of the last step of a call."""
+    def memory(self, struct: Any) -> Any:
+        """What the next step goes on from, after the last one of a call."""
         ...
 
 
 class NewtonSolver:
     """`found`: unknowns of the last step;  `missed`: what the continuations of the last ones missed."""
 
-    name, iterations, prepares = "newton", ITERATIONS, True
+    name, iterations, words, failure = "newton", ITERATIONS, "interface Newton", None
 
-    def __init__(self, coupling: Newton | NodeNewton, t: Tables):
+    def __init__(self, coupling: Newton, t: Tables):
         self._coupling, self._t = coupling, t
-        self.held = isinstance(coupling, Newton)
+        self.held = coupling.exchange is None
         self._found, self._missed = np.zeros(t.found.size), np.zeros((KNOWN, t.found.size))
         self.fields = {"found": self._found, "missed": self._missed, "memory": None}
 
     def spread(self, xi: Array) -> Array:
-        return xi.copy() if isinstance(self._coupling, Newton) else self._coupling.exchange.of_columns(xi)
+        exchange = self._coupling.exchange
+        return xi.copy() if exchange is None else exchange.of_columns(xi)
 
     def begin(self, struct: Any, last: Solution, h: float) -> bool:
-        e, coupling = self._t.found, self._coupling
-        if isinstance(coupling, Newton):
-            self._t.z[:] = last.xi
+        before = last.memory if isinstance(last.memory, Continuation) else None
+        if before is None or last.h != h:
+            self._t.z[:] = self._coupling.start(last.xi, h, before, last.h, len(self._t.found.bare))
             return False
-        if isinstance(last, NodeSolution) and last.found is not None and last.h == h:
-            self._found[:] = e.pack(last.found.flat)
-            struct.known = len(last.missed)
-            for to, missed in zip(self._missed, last.missed, strict=False):
-                to[:] = e.pack(missed)
-            return True
-        self._t.z[:] = e.pack(coupling.start(last, h).flat)
-        return False
+        self._found[:] = before.found
+        struct.known = len(before.missed)
+        for to, missed in zip(self._missed, before.missed, strict=False):
+            to[:] = missed
+        return True
 
-    def solution(self, struct: Any, plain: Solution, h: float) -> Solution:
-        if self.held:
-            return plain
-        e = self._t.found
-        z = e.unpack(self._found)
-        found = Unknowns(z[: e.nodes], z[e.nodes :].reshape(2, -1))
-        missed = tuple(e.unpack(m) for m in self._missed[: struct.known])
-        return NodeSolution(plain.xi, plain.y, plain.iterations, plain.accepted_by, found=found, h=h, missed=missed)
+    def memory(self, struct: Any) -> Continuation:
+        return Continuation(self._found.copy(), tuple(m.copy() for m in self._missed[: struct.known]))
 
 
 class AndersonSolver:
     """Its differences, which a step may add `anderson.ITERATIONS` to."""
 
-    name, held, iterations, prepares = "anderson", True, anderson.ITERATIONS, False
+    name, held, iterations, failure = "anderson", True, anderson.ITERATIONS, None
+    words = "interface iteration with Anderson's acceleration"
 
     def __init__(self, _: Anderson, t: Tables):
         self._t, n = t, t.found.nodes
@@ -134,30 +131,29 @@ class AndersonSolver:
     def begin(self, struct: Any, last: Solution, h: float) -> bool:
         t, own = self._t, self._own
         t.z[:] = last.xi
-        memory = last.memory if isinstance(last, Remembered) else None
+        memory = last.memory if isinstance(last.memory, Memory) else None
         own.begun, own.count, own.newest = 0, 0, 0
         self._size[:] = anderson.first_sizes(t.joined)
         if memory is None:
             return False
-        own.count = memory.X.shape[1]
-        self._X[: own.count], self._F[: own.count], self._size[:] = memory.X.T, memory.F.T, memory.size
-        t.pattern.take(memory.M)
+        own.count = len(memory.X)
+        self._X[: own.count], self._F[: own.count], self._size[:] = memory.X, memory.F, memory.size
+        t.pattern.a[:] = memory.M
         own.begun = int(t.lib.ph_matrix_factor(ctypes.addressof(struct)) == 0)
         return False
 
-    def solution(self, struct: Any, plain: Solution, h: float) -> Solution:
-        own, memory = self._own, None
-        if own.begun:
-            at = (own.newest + np.arange(own.count)) % self._room
-            M = self._t.pattern.matrix()
-            memory = Memory(self._X[at].T, self._F[at].T, self._size.copy(), M, bool(own.plain))
-        return Remembered(plain.xi, plain.y, plain.iterations, plain.accepted_by, memory=memory)
+    def memory(self, struct: Any) -> Memory | None:
+        own = self._own
+        if not own.begun:
+            return None
+        at = (own.newest + np.arange(own.count)) % self._room
+        return Memory(self._X[at], self._F[at], self._size.copy(), self._t.pattern.a.copy())
 
 
 class InTurnSolver:
     """Groups of members that step one after the other."""
 
-    name, held, iterations, prepares = "in_turn", True, 1, False
+    name, held, iterations, words, failure = "in_turn", True, 1, "", None
 
     def __init__(self, coupling: GaussSeidel | Jacobi, t: Tables):
         self._t, e = t, t.found
@@ -195,8 +191,69 @@ class InTurnSolver:
         self._asked[:] = 0
         return False
 
-    def solution(self, struct: Any, plain: Solution, h: float) -> Solution:
-        return plain
+    def memory(self, struct: Any) -> None:
+        """Each step begins with the outputs of its start."""
+
+
+class CalledSolver:
+    """A coupling that says in Python how its unknowns move (`Moves`, `Starts`): the loop calls it back."""
+
+    held, name = True, ""
+
+    def __init__(self, coupling: Any, t: Tables):
+        self._coupling, self._t = coupling, t
+        self.iterations = int(getattr(coupling, "iterations", ITERATIONS))
+        self._rows, self.failure = np.zeros(t.found.size), None
+        moves, starts = isinstance(coupling, Moves), isinstance(coupling, Starts)
+        self.words = f"the interface iteration of {type(coupling).__name__}" if moves else ""
+        none = ctypes.c_void_p(None)
+        start = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int)(self._start) if starts else none
+        move = ctypes.CFUNCTYPE(ctypes.c_int, *[ctypes.c_void_p] * 2, ctypes.c_int)(self._move) if moves else none
+        idle = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int)(lambda _, __: None)
+        calls = [
+            none,
+            start if starts else idle,
+            t.lib.ph_trial_take,
+            move,
+            none,
+            none,
+            none,
+        ]  # in the order of `ph_solver`
+        self._kept_alive = calls
+        nothing = np.zeros(0)
+        self.fields = {
+            "found": nothing,
+            "missed": nothing,
+            "memory": None,
+            "rows": self._rows,
+            "solver": t.memory.functions(calls),
+        }
+
+    def spread(self, xi: Array) -> Array:
+        return xi
+
+    def begin(self, struct: Any, last: Solution, h: float) -> bool:
+        self.failure = None
+        self._t.z[:] = last.xi
+        self._rows[:] = 0.0 if last.memory is None else last.memory
+        return False
+
+    def memory(self, struct: Any) -> Array:
+        return self._rows.copy()
+
+    def _start(self, _: int, __: int) -> None:
+        self._take(self._coupling.started)
+
+    def _move(self, _: int, __: int, ___: int) -> int:
+        return self._take(self._coupling.moved)
+
+    def _take(self, rule: Callable[[Joined, Array, Array], Array]) -> int:
+        """The unknowns by a rule; what it raises ends the step."""
+        try:
+            self._t.z[:] = rule(self._t.joined, self._t.z.copy(), self._rows.copy())
+        except Exception as error:
+            self.failure, self._t.z[:] = error, np.nan
+        return int(self.failure is not None)
 
 
 def _by_row(n: int, rows: list[Any], width: int) -> tuple[Array, Array]:
@@ -206,12 +263,11 @@ def _by_row(n: int, rows: list[Any], width: int) -> tuple[Array, Array]:
     return np.searchsorted(table[:, 0], np.arange(n + 1)), table.T
 
 
-#: couplings that have one
 SOLVERS: dict[type, Any] = {
-    Newton: NewtonSolver, NodeNewton: NewtonSolver, Anderson: AndersonSolver, GaussSeidel: InTurnSolver, Jacobi: InTurnSolver,
+    Newton: NewtonSolver, Anderson: AndersonSolver, GaussSeidel: InTurnSolver, Jacobi: InTurnSolver,
 }  # fmt: skip
 
 
 def solver_of(coupling: Coupling) -> Any:
-    """The maker of the solver of a coupling; None of those that the master does not have."""
-    return SOLVERS.get(type(coupling))
+    """The maker of the solver of a coupling."""
+    return SOLVERS.get(type(coupling), CalledSolver)

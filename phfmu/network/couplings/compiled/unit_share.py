@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from phfmu.engine.native.structures import Structures
 from phfmu.fmu.importer.access import Access
 from phfmu.network.couplings.compiled.master_library import HEADER
 from phfmu.network.couplings.compiled.master_pattern import Part, Told
+from phfmu.outcome.steps import StepEvent
 
 if TYPE_CHECKING:
     from phfmu.fmu.importer.refusal import UnitFailure
@@ -32,11 +33,9 @@ class UnitShare:
         self._member: Any = part.member
         self._face = access.values.interface
         nu, k = self._member.nu, part.k
-        self._y, self._now, self._before = (
-            np.zeros(k * nu),
-            np.zeros(nu + 1),
-            np.zeros(len(self._member.told_of_events)),
-        )
+        self._y, self._now = np.zeros(k * nu), np.zeros(nu + 1)
+        self._events = self._member.events_told
+        self._before = np.zeros(len(self._events.names))
         self._row = self._recorded()
         self._place = {n: i for i, n in enumerate(self._row)}
         self._columns = [self._place[n] for n in self._member.names]
@@ -76,8 +75,7 @@ class UnitShare:
             "taken": self._scalars(self._named(part.taken), range(len(part.taken)), np.ones(len(part.taken))),
             "row": self._scalars(self._named(self._row), range(len(self._row)), np.ones(len(self._row))),
             "unknown": self._scalars(unknown, at, sign), "known": self._memory.array(self._known(kicked)),
-            "happened": [self._place[n] for n in self._member.told_of_events], "before": self._before,
-            "nrow": len(self._row), "nhappened": len(self._before), "y": self._y, "now": self._now,
+            "nrow": len(self._row), "y": self._y, "now": self._now,
             "impulses": np.zeros(2 * part.kicks), "time": 0.0, "length": 0.0, "answer": 0, "call": None, "refused": None,
         }  # fmt: skip
 
@@ -91,7 +89,7 @@ class UnitShare:
         v, books = self._access.values, self._access.books
         groups = (v.y_end, v.pair_energies, books.stored, books.step)
         own = [s.name for r in groups for s in r.scalars]
-        return [*dict.fromkeys([*self._member.names, *self._member.sent, *own, *self._member.told_of_events])]
+        return [*dict.fromkeys([*self._member.names, *self._member.sent, *own, *self._events.names])]
 
     def _held(self) -> int:
         """Inputs from now on: of ports, and of signals by their own names."""
@@ -155,10 +153,13 @@ class UnitShare:
 
     # -- steps ------------------------------------------------------------------------------------------------------
 
+    def bind(self, values: Mapping[str, Any]) -> None:
+        """It has memory of its own."""
+
     def begin(self, n: int) -> None:
         """Reads what only events change, as it is before the steps."""
         if len(self._before):
-            self._before[:] = self._member.unit.get(self._member.told_of_events)
+            self._before = self._member.unit.get(self._events.names)
 
     def finish(self, t: float, h: float, row: Array, u: Array) -> None:
         """The last step that was taken, from t by h under inputs u, has this row."""
@@ -184,7 +185,7 @@ class UnitShare:
             return self._member.name, "doStep", (self._struct.time,)
         return self._member.name, function, ()
 
-    def told(self, rows: Array, h: float) -> Told:
+    def told(self, rows: Array, t: float, h: float) -> Told:
         """Fields of its rows."""
         v, books, first, shape = (
             self._access.values,
@@ -202,7 +203,16 @@ class UnitShare:
         book = self._member.booked(zero | books.named(self._read(rows, books.step)) | {"pairs": pairs})
         ends = np.zeros((len(rows), self._member.nu))
         ends[:, : v.nu] = self._read(rows, v.y_end) * v.output_sign
-        return Told(rows[:, self._columns], H, ends, book)
+        return Told(rows[:, self._columns], H, ends, book, tuple(self._happened(rows, t, h)))
+
+    def _happened(self, rows: Array, t: float, h: float) -> Iterator[tuple[int, StepEvent]]:
+        """Events within the steps, by number of the step."""
+        if not len(self._before):
+            return
+        values = np.vstack([self._before, rows[:, [self._place[n] for n in self._events.names]]])
+        for i in np.flatnonzero((values[1:] != values[:-1]).any(axis=1)).tolist():
+            for event in self._events.told(t + (i + 1) * h, values[i], values[i + 1]):
+                yield i, event
 
     def _read(self, rows: Array, r: References) -> Array:
         return rows[:, [self._place[s.name] for s in r.scalars]]

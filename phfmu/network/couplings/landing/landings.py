@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from phfmu.network.couplings.coupling import AllSteps, Coupling
-from phfmu.network.couplings.node_newton import NodeNewton
+from phfmu.network.couplings.newton import Newton
 from phfmu.network.interface.exchange import Exchange
 from phfmu.network.interface.joined import Joined
 from phfmu.network.members.engine_member import EngineMember
@@ -17,13 +18,14 @@ if TYPE_CHECKING:
 
 
 def landings(
-    joined: Joined, coupling: Coupling, steps: AllSteps
+    joined: Joined, coupling: Coupling, steps: AllSteps, joined_anew: Callable[[], None]
 ) -> tuple[Exchange | None, Together | Switching | None, Switching | None]:
     """The exchange of members at nodes, how they land together, and the same as one with switches; None for what they do not.
 
+    joined_anew: is called after C of the exchange has changed
     ValueError for a member that has no steps of its own.
     """
-    exchange = coupling.exchange if isinstance(coupling, NodeNewton) else None
+    exchange = coupling.exchange if isinstance(coupling, Newton) else None
     for m in joined.members:
         if isinstance(m, EngineMember) and not isinstance(m.instance, RelationInstance) and m.between_inputs:
             raise ValueError(m.between_inputs + ("" if exchange else ", or take --coupling newton"))
@@ -32,8 +34,7 @@ def landings(
     if exchange.whole:
         from phfmu.network.couplings.landing.switching import Switching
 
-        assert isinstance(coupling, NodeNewton)
-        found = Switching(exchange, steps, coupling.join)
+        found = Switching(exchange, steps, joined_anew)
         return exchange, found, found
     if not (members := exchange.landing()):
         return exchange, None, None

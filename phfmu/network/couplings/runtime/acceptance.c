@@ -1,4 +1,4 @@
-/* When the iteration of a step of coupled members is accepted; the twin of acceptance.py. */
+/* When the iteration of a step of coupled members is accepted. */
 #include "acceptance.h"
 
 void ph_coupled_note(const ph_rules *r, ph_progress *p, double scaled) {

@@ -1,6 +1,5 @@
-/* When the iteration of a step of coupled members is accepted. Both masters read the numbers from here, and
- * acceptance.py is the twin of acceptance.c. The words are those of the engines' Newton, of which this is the
- * outer one. */
+/* When the iteration of a step of coupled members is accepted. The words are those of the engines' Newton, of
+ * which this is the outer one. */
 #ifndef PH_ACCEPTANCE_H
 #define PH_ACCEPTANCE_H
 
@@ -37,10 +36,11 @@
 /* So many steps tell what the continuation of the last one will miss. */
 #define PH_COUPLED_KNOWN 4
 
-/* held: of newton.py, where every member holds one value, else of node_newton.py. */
+/* held: every member holds one value, else they exchange values at the nodes of the step. */
 typedef struct ph_rules {
     int held;
     int iterations;
+    int accept; /* of a step that does not converge the trial that left the least is kept */
 } ph_rules;
 
 /* How an iteration went so far; all zero before the first trial. */
@@ -52,7 +52,7 @@ typedef struct ph_progress {
     double scaled; /* residual of the last trial */
 } ph_progress;
 
-typedef enum ph_accepted { PH_NOT_YET, PH_BY_ENERGY, PH_BY_FLOOR } ph_accepted;
+typedef enum ph_accepted { PH_NOT_YET, PH_BY_ENERGY, PH_BY_FLOOR, PH_UNCONVERGED } ph_accepted;
 
 /* How much energy rows leave: more than what is accepted, as much where they stall, or no more. */
 typedef enum ph_energy_left { PH_TOO_MUCH, PH_WHERE_STALLED, PH_WITHIN } ph_energy_left;

@@ -1,4 +1,4 @@
-/* Anderson's method over held values: anderson.py, with the least squares by Gram and Schmidt's method, each
+/* Anderson's method over held values (anderson.py), with the least squares by Gram and Schmidt's method, each
  * column twice. */
 #include "anderson.h"
 
@@ -140,6 +140,6 @@ static int move(ph_master *m, ph_progress *p, int left) {
 }
 
 const ph_solver *ph_solver_anderson(void) {
-    static const ph_solver anderson = {NULL, start, ph_trial_take, move, NULL, drop};
+    static const ph_solver anderson = {NULL, start, ph_trial_take, move, NULL, NULL, drop};
     return &anderson;
 }

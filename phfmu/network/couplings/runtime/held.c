@@ -1,4 +1,4 @@
-/* Signals that are held over a step, as in held_signals.py. */
+/* Signals that are held over a step; held_signals.py has the rule. */
 #include "held.h"
 
 #include <string.h>
@@ -37,7 +37,7 @@ static int write(ph_master *m, const double *values, int from, int to) {
         for (int j = i + 1; j < to && last; j++)
             last = w->target[j] != w->target[i] || (w->taken[j] < 0) != (w->taken[i] < 0);
         if (last)
-            status = w->taken[i] < 0 ? present(m, s) : s->kind->take(s);
+            status = ph_share_said(m, w->target[i], w->taken[i] < 0 ? present(m, s) : s->kind->take(s));
     }
     return status;
 }
@@ -77,7 +77,7 @@ int ph_held_after(ph_master *m, double h, int row) {
         for (int i = w->stage[g]; i < w->stage[g + 1] && status == PH_OK; i++) {
             const ph_share *s = &m->shares[w->source[i]];
             if (w->source[i] != read)
-                status = s->kind->tell(s);
+                status = ph_share_said(m, w->source[i], s->kind->tell(s));
             read = w->source[i];
             w->now[i] = w->factor[i] * s->told[w->told[i]] + w->offset[i];
         }

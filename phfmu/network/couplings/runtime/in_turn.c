@@ -1,4 +1,7 @@
-/* Gauss-Seidel's and Jacobi's couplings, which take no step twice: explicit.py. */
+/* Gauss-Seidel's and Jacobi's couplings, which take no step twice. Before a group of members steps, the
+ * unknowns are those of the instant (instant.c): of members that have not stepped yet at t, of the others at
+ * t + h. They are held. Outputs are those of an instant, not means of a step: lagged by one step, means lose
+ * their conjugacy and the coupling is less stable. */
 #include "in_turn.h"
 
 #include <string.h>
@@ -39,12 +42,12 @@ static int take(ph_master *m, double t, double h, int again, ph_trial *found) {
             status = step(m, g, i, t, h);
     }
     for (int i = 0; i < m->nshare && status == PH_OK; i++)
-        status = ph_instant_give(m, i, m->shares[i].u);
+        status = ph_share_said(m, i, ph_instant_give(m, i, m->shares[i].u));
     memcpy(m->z, g->used, sizeof(double) * (size_t)m->nxi);
     return status;
 }
 
 const ph_solver *ph_solver_in_turn(void) {
-    static const ph_solver in_turn = {NULL, start, take, NULL, NULL, NULL};
+    static const ph_solver in_turn = {NULL, start, take, NULL, NULL, NULL, NULL};
     return &in_turn;
 }

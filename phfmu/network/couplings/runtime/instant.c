@@ -127,7 +127,7 @@ static int differences(ph_in_turn *t, const ph_share *s) {
 static int along(ph_master *m) {
     for (int i = 0; i < m->nshare; i++) {
         const ph_share *s = &m->shares[i];
-        const int status = s->ninput ? differences(m->memory, s) : PH_OK;
+        const int status = s->ninput ? ph_share_said(m, i, differences(m->memory, s)) : PH_OK;
         if (status)
             return status;
         if (s->ninput)

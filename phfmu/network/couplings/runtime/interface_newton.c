@@ -1,5 +1,5 @@
-/* Newton's method over node values and impulses (node_newton.py), or over held values: the matrix is taken by
- * the rules, and a step starts from the continuation of the ones before. */
+/* Newton's method over node values and impulses, or over held values (newton.py): the matrix is taken by the
+ * rules, and a step starts from the continuation of the ones before. */
 #include <string.h>
 
 #include "master.h"
@@ -43,6 +43,14 @@ static int move(ph_master *m, ph_progress *p, int left) {
     return ph_all_finite(m->z, all) ? PH_OK : PH_NOT_FINITE;
 }
 
+/* The continuation without what it will miss, where that was added. */
+static int again(ph_master *m, int next) {
+    if (!next || !m->known)
+        return 0;
+    memcpy(m->z, m->plain, bytes(m->nxi + 2 * m->nbare));
+    return 1;
+}
+
 /* z is what was found; next: it was begun from the continuation. What the step ends with, the next one
  * begins with. */
 static void keep(ph_master *m, int next) {
@@ -61,6 +69,6 @@ static void keep(ph_master *m, int next) {
 }
 
 const ph_solver *ph_solver_newton(void) {
-    static const ph_solver newton = {ph_trial_before, start, ph_trial_take, move, keep, NULL};
+    static const ph_solver newton = {ph_trial_before, start, ph_trial_take, move, again, keep, NULL};
     return &newton;
 }

@@ -1,30 +1,55 @@
 /* The steps of coupled members: trials until one is accepted, and rows of what was. */
+#include <math.h>
 #include <string.h>
 
 #include "master.h"
 #include "system.h"
+
+int ph_master_refuser(const ph_master *m) {
+    for (int i = 0; i < m->nshare; i++)
+        if (m->status[i])
+            return i + 1;
+    return 0;
+}
 
 void ph_master_restore(ph_master *m) {
     for (int i = 0; i < m->nshare; i++)
         m->shares[i].kind->restore(&m->shares[i]);
 }
 
+static size_t unknowns(const ph_master *m) {
+    return sizeof(double) * (size_t)(m->nxi + 2 * m->nbare);
+}
+
+/* One more trial: what it leaves, and z if that is the least of all. */
+static void note(ph_master *m, ph_progress *p, double scaled) {
+    double least = INFINITY;
+    for (int i = 0; i < p->trials; i++)
+        least = fmin(least, m->history[i]);
+    if (p->trials == 0 || scaled < least)
+        memcpy(m->best, m->z, unknowns(m));
+    m->history[p->trials] = scaled;
+    ph_coupled_note(m->rules, p, scaled);
+    m->ntrial = p->trials;
+}
+
 /* z of one step, from z; how many trials it took and by which test it was accepted. */
-static int solve(ph_master *m, double t, double h, int *trials, int *by) {
+static int solve(ph_master *m, double t, double h, int again, int *by) {
     const ph_solver *solver = m->solver;
     const ph_rules *rules = m->rules;
     ph_progress p = {0};
-    *trials = 0;
+    m->ntrial = 0;
+    m->time = t;
+    m->length = h;
     while (p.trials < rules->iterations) {
         ph_trial now;
-        int left, floor, status = solver->take(m, t, h, p.trials > 0, &now);
+        int left, floor, status = solver->take(m, t, h, again || p.trials > 0, &now);
         if (status || !solver->move)
             return status;
-        ph_coupled_note(rules, &p, now.scaled);
+        note(m, &p, now.scaled);
         floor = p.stalled && p.matrices > 0 && ph_matrix_at_floor(m);
         left = ph_coupled_asks_energy(rules, &p) ? ph_trial_left(m, &now) : PH_TOO_MUCH;
         *by = ph_coupled_accepted(rules, &p, floor, left);
-        *trials = p.trials;
         if (*by != PH_NOT_YET)
             return PH_OK;
         status = solver->move(m, &p, left);
@@ -32,6 +57,24 @@ static int solve(ph_master *m, double t, double h, int *trials, int *by) {
             return status;
     }
     return PH_NO_CONVERGENCE;
+}
+
+/* A step that was refused is tried once more where the solver knows another start; of one that does not
+ * converge the best trial is kept where the rules say so. */
+static int solve_or_keep(ph_master *m, double t, double h, int next, int *by) {
+    const ph_solver *solver = m->solver;
+    int status = solve(m, t, h, 0, by);
+    if (status && solver->again && solver->again(m, next)) {
+        memset(m->status, 0, sizeof(int) * (size_t)m->nshare);
+        status = solve(m, t, h, 1, by);
+    }
+    if (status == PH_NO_CONVERGENCE && m->rules->accept && !ph_master_refuser(m)) {
+        ph_trial now;
+        memcpy(m->z, m->best, unknowns(m));
+        status = solver->take(m, t, h, 1, &now);
+        *by = PH_UNCONVERGED;
+    }
+    return status;
 }
 
 static void record(ph_master *m, double h, int row) {
@@ -56,7 +99,8 @@ int ph_master_run(ph_master *m, double t0, double h, int n, long long first, int
     int done = 0, status;
     if (m->clock)
         ph_clock_start(m->clock);
-    m->row = 0;
+    m->row = m->ntrial = 0;
+    memset(m->status, 0, sizeof(int) * (size_t)m->nshare);
     status = solver->begin ? solver->begin(m) : PH_OK;
     for (; done < n && status == PH_OK; done++) {
         int by = PH_NOT_YET;
@@ -67,7 +111,8 @@ int ph_master_run(ph_master *m, double t0, double h, int n, long long first, int
             ph_held_drop(m);
             break;
         }
-        status = solve(m, t0 + (double)(first + done) * h, h, &m->trials[done], &by);
+        status = solve_or_keep(m, t0 + (double)(first + done) * h, h, done || next, &by);
+        m->trials[done] = m->ntrial;
         if (status == PH_OK)
             status = ph_settle(m);
         if (status == PH_OK)

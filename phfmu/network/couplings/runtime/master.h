@@ -4,8 +4,8 @@
  * Members are instances, or units in libraries of their own, many of which may be loaded at once under the
  * same names: each is called through a table of functions.
  *
- * Whatever is not plain here, a member that refuses a step or rows that do not converge, is left to the
- * Python twin: the members are put back to the start of the step.
+ * Members that only Python can step are called back (compiled/called_share.py). A step that a member refuses,
+ * or whose rows do not converge, ends the call: the members are put back to the start of the step.
  *
  * Unknowns z = (xi at nodes nxi | impulses m at the start nbare | m' at the end nbare), rows (at nodes nxi |
  * at ends nbare | of the impulses nbare). The Python side reads the field lists from here: one field a line.
@@ -21,8 +21,8 @@
 
 struct ph_share;
 
-/* What is asked of a member: of a native one (native.c), or of a unit (unit.c). Functions answer a ph_status,
- * or anything else but PH_OK for what is left to the Python twin. */
+/* What is asked of a member: of a native one (native.c), of a unit (unit.c), or of one in Python. Functions
+ * answer a ph_status, or anything else but PH_OK where the member itself can say why it refuses. */
 typedef struct ph_kind {
     int (*keep)(const struct ph_share *);                     /* where it is, to come back */
     int (*restore)(const struct ph_share *);                  /* there */
@@ -30,8 +30,8 @@ typedef struct ph_kind {
     int (*refresh)(const struct ph_share *);                  /* energies and outputs now */
     int (*jump)(const struct ph_share *);                     /* S now */
     int (*more)(const struct ph_share *);                     /* one more impulse at the end of the step: s */
-    int (*along)(const struct ph_share *);                    /* dy and dend of the step */
-    int (*present)(const struct ph_share *);                  /* inputs from now on */
+    int (*along)(const struct ph_share *);              /* dy and dend of the step; else by differences */
+    int (*present)(const struct ph_share *);            /* inputs from now on */
     int (*record)(const struct ph_share *, double *to); /* energies and outputs now, a row of the step */
     int (*tell)(const struct ph_share *);               /* held signals that it sends now */
     int (*take)(const struct ph_share *);               /* held signals that it takes from now on */
@@ -104,6 +104,7 @@ typedef struct ph_solver {
     void (*start)(struct ph_master *, int next); /* z; next: the step goes on from the one before */
     int (*take)(struct ph_master *, double t, double h, int again, struct ph_trial *);
     int (*move)(struct ph_master *, ph_progress *, int left);
+    int (*again)(struct ph_master *, int next); /* the step was refused: z to try again from, or 0 */
     void (*keep)(struct ph_master *, int next); /* the step was accepted */
     void (*drop)(struct ph_master *);           /* it was refused */
 } ph_solver;
@@ -127,6 +128,9 @@ typedef struct ph_master {
     int known;              /* rows of missed that are known */
     int row;                /* of the step that is taken */
     int refused;            /* ph_status of the step that was not accepted */
+    int ntrial;             /* trials of the last step */
+    double time;            /* its start */
+    double length;          /* and length */
     int points;             /* of the rule for the root of impulses */
     const double *cosines;  /* points: cos^2 t_l */
     const double *weights;  /* nxi */
@@ -161,6 +165,8 @@ typedef struct ph_master {
     double *found;          /* nz: of the last accepted step */
     double *missed;         /* PH_COUPLED_KNOWN*nz: what continuations missed, of the last step first */
     double *plain;          /* nz: the continuation */
+    double *best;           /* nz: of the trial that left the least */
+    double *history;        /* iterations: the scaled residual of each trial */
     double *rows;           /* nz */
     double *size;           /* nz */
     double *move;           /* nz */
@@ -204,9 +210,10 @@ PH_API int ph_master_run(ph_master *m, double t0, double h, int n, long long fir
 /* z of a first step, or of one that is not the continuation of the one before: constants of xi (ncolumn). */
 PH_API void ph_master_spread(ph_master *m, const double *xi);
 /* start.c: common variables before the first step of length h, where no step has ended: those of the instant
- * (begin), and the means of a trial step, which is where the first one starts from. guess, mean, begin:
- * ncolumn. The members stay where they are. Steps of xi, trials and accepted are to have room for one row. */
-PH_API int ph_master_prepare(ph_master *m, double t0, double h, const double *guess, double *mean,
+ * (begin), of at most PH_START_TRIALS steps, and the means of a trial step, which is where the first one
+ * starts from. With one step begin is mean. guess, mean, begin: ncolumn. The members stay where they are.
+ * Steps of xi, trials and accepted are to have room for one row. */
+PH_API int ph_master_prepare(ph_master *m, double t0, double h, int steps, const double *guess, double *mean,
                              double *begin);
 
 /* The solvers. */
@@ -214,12 +221,14 @@ PH_API const ph_solver *ph_solver_newton(void);
 PH_API const ph_solver *ph_solver_anderson(void);
 PH_API const ph_solver *ph_solver_in_turn(void);
 
-/* master.c: all members where they were when the step began, also if one of them cannot be brought back. */
+/* master.c: number + 1 of the member that refused, 0: none did. */
+int ph_master_refuser(const ph_master *m);
+/* All members where they were when the step began, also if one of them cannot be brought back. */
 void ph_master_restore(ph_master *m);
 
 /* trial.c: S0 and sums before a step; a trial of all members at once; ph_energy_left of it. */
 int ph_trial_before(ph_master *m);
-int ph_trial_take(ph_master *m, double t, double h, int again, ph_trial *found);
+PH_API int ph_trial_take(ph_master *m, double t, double h, int again, ph_trial *found);
 int ph_trial_left(ph_master *m, ph_trial *now);
 int ph_all_finite(const double *values, int n);
 
@@ -236,7 +245,7 @@ int ph_matrix_at_floor(ph_master *m);
 int ph_settle(ph_master *m);
 
 /* present.c: signals at the end of an accepted step. */
-int ph_signals_present(const ph_master *m);
+int ph_signals_present(ph_master *m);
 
 /* held.c: signals before a step, and after it; they are those before it again. */
 int ph_held_before(ph_master *m, double h);
@@ -254,15 +263,21 @@ typedef enum ph_from { PH_FROM_HERE, PH_FROM_KEPT, PH_GOING_ON } ph_from;
 int ph_shares_keep(ph_master *m);
 int ph_shares_step(ph_master *m, double t, double h, ph_from from, const int *which, int n);
 int ph_shares_refresh(ph_master *m);
-int ph_shares_finish(ph_master *m, int row);
+PH_API int ph_shares_finish(ph_master *m, int row);
 int ph_shares_along(ph_master *m);
+
+/* Its answer, noted: which member refused is read from there. */
+static inline int ph_share_said(ph_master *m, int share, int status) {
+    m->status[share] = status;
+    return status;
+}
 
 /* share.c: of one member its inputs under z, k*nu; its step under z, alone, then what that adds to the rows;
  * its derivatives, alone, then what they add to the matrix; what it adds to S and the sums where it is. */
 void ph_share_inputs(const ph_master *m, const ph_share *s, double *u);
 int ph_share_step(const ph_master *m, const ph_share *s, double t, double h);
 void ph_share_add_rows(ph_master *m, const ph_share *s, double h, double *through);
-int ph_share_along(const ph_share *s);
+int ph_share_along(const ph_master *m, const ph_share *s);
 void ph_share_across(const ph_share *s);
 void ph_share_add_matrix(ph_master *m, const ph_share *s);
 int ph_share_more(const ph_master *m, const ph_share *s, const double *more);

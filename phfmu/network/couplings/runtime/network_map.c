@@ -144,7 +144,7 @@ static int initialise(void *of) {
     if (status)
         return status;
     if (status == PH_OK)
-        status = ph_master_prepare(&w->master, t, n->step, n->start, w->mean, begin);
+        status = ph_master_prepare(&w->master, t, n->step, PH_START_TRIALS, n->start, w->mean, begin);
     if (status)
         return refused(w, status, t, n->step);
     status = present(w, begin);

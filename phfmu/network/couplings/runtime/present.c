@@ -3,7 +3,7 @@
 #include "master.h"
 #include "system.h"
 
-int ph_signals_present(const ph_master *m) {
+int ph_signals_present(ph_master *m) {
     for (int w = 0; w < m->nwire; w++) {
         const ph_share *to = &m->shares[m->wire_target[w]];
         ph_clear(to->now, to->nu);
@@ -13,11 +13,11 @@ int ph_signals_present(const ph_master *m) {
     }
     for (int w = 0; w < m->nwire; w++) {
         const ph_share *from = &m->shares[m->wire_source[w]], *to = &m->shares[m->wire_target[w]];
-        int status = from->kind->refresh(from);
+        int status = ph_share_said(m, m->wire_source[w], from->kind->refresh(from));
         if (status)
             return status;
         to->now[m->wire_input[w]] = m->factor[w] * from->end[m->wire_output[w]] + to->free[m->wire_input[w]];
-        status = to->kind->present(to);
+        status = ph_share_said(m, m->wire_target[w], to->kind->present(to));
         if (status)
             return status;
     }

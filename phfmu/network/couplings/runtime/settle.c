@@ -20,9 +20,9 @@ int ph_settle(ph_master *m) {
     for (int b = 0; b < nb && status == PH_OK; b++)
         m->z[n + nb + b] += m->moved[b];
     for (int i = 0; i < m->nshare && status == PH_OK; i++)
-        status = ph_share_more(m, &m->shares[i], m->moved);
+        status = ph_share_said(m, i, ph_share_more(m, &m->shares[i], m->moved));
     ph_clear(sums, nb);
     for (int i = 0; i < m->nshare && status == PH_OK; i++)
-        status = ph_share_end(&m->shares[i], n, sums);
+        status = ph_share_said(m, i, ph_share_end(&m->shares[i], n, sums));
     return status;
 }

@@ -5,6 +5,9 @@
 #include "master.h"
 #include "system.h"
 
+/* Relative change of an input in differences. */
+#define PH_SHARE_MOVE 1e-6
+
 static int look(const ph_share *s) {
     int status = s->nkick ? s->kind->refresh(s) : PH_OK;
     return s->nkick && status == PH_OK ? s->kind->jump(s) : status;
@@ -100,11 +103,53 @@ void ph_share_add_rows(ph_master *m, const ph_share *s, double h, double *throug
     }
 }
 
-int ph_share_along(const ph_share *s) {
+/* The step once more, from where it began, under u and s as they are. */
+static int repeated(const ph_master *m, const ph_share *s) {
+    int status = s->kind->restore(s);
+    if (status == PH_OK)
+        status = s->kind->step(s, m->time, m->length);
+    if (status == PH_OK)
+        status = s->nkick ? look(s) : PH_OK;
+    return status;
+}
+
+/* dy and dend by one-sided differences, of a step of which the member knows no derivatives; it ends as it
+ * was. */
+static int differences(const ph_master *m, const ph_share *s) {
+    const int kn = s->k * s->nu, all = s->ninput + 2 * s->nbare;
+    int status = PH_OK;
+    for (int i = 0; s->nkick && i < s->nu; i++)
+        s->y[kn + i] = s->end[i];
+    for (int d = 0; d < all && status == PH_OK; d++) {
+        const int kick = d < s->ninput ? 0 : (d - s->ninput) % s->nbare;
+        const int second = d >= s->ninput + s->nbare;
+        double *x = d < s->ninput ? s->u + s->input[d] : s->s + second * s->nkick + s->kicked[kick];
+        const double kept = *x;
+        if (d < s->ninput)
+            *x += PH_SHARE_MOVE * (s->nominal[s->input[d] % s->nu] + fabs(kept));
+        else
+            *x += PH_SHARE_MOVE * m->length * s->nominal[s->kicked_output[kick]];
+        const double move = *x - kept;
+        status = repeated(m, s);
+        *x = kept;
+        for (int i = 0; i < s->k; i++)
+            for (int j = 0; j < s->nu; j++) {
+                const int at = i * s->nu + j;
+                s->dy[d * kn + at] = (s->outputs[i * s->stride + j] - s->y[at]) / move;
+            }
+        for (int i = 0; s->nkick && i < s->nu; i++)
+            s->dend[d * s->nu + i] = (s->end[i] - s->y[kn + i]) / move;
+    }
+    return status ? status : repeated(m, s);
+}
+
+int ph_share_along(const ph_master *m, const ph_share *s) {
     int status;
     if (s->ninput + s->nbare == 0)
         return PH_OK;
     status = s->kind->along(s);
+    if (status)
+        status = differences(m, s);
     if (status == PH_OK)
         ph_share_across(s);
     return status;

@@ -46,7 +46,7 @@ static void one_step(void *with, int at) {
 
 static void one_along(void *with, int i) {
     ph_master *m = with;
-    m->status[i] = ph_share_along(&m->shares[i]);
+    m->status[i] = ph_share_along(m, &m->shares[i]);
 }
 
 static void one_refresh(void *with, int i) {

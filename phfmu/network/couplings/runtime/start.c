@@ -3,7 +3,7 @@
  *
  *     xi(0) = lim p_h(t0),
  *
- * extrapolated from steps h, h/2, ... by Neville's scheme; start_values.py is the twin for other masters. */
+ * extrapolated from steps h, h/2, ... by Neville's scheme. */
 #include <math.h>
 #include <string.h>
 
@@ -46,7 +46,8 @@ static double moved(const ph_master *m, const double *to, const double *from) {
     return most;
 }
 
-int ph_master_prepare(ph_master *m, double t0, double h, const double *guess, double *mean, double *begin) {
+int ph_master_prepare(ph_master *m, double t0, double h, int steps, const double *guess, double *mean,
+                      double *begin) {
     const int n = m->ncolumn;
     double *row = m->tried, *next = m->tried + PH_START_TRIALS * n, best = INFINITY;
     int status;
@@ -57,7 +58,7 @@ int ph_master_prepare(ph_master *m, double t0, double h, const double *guess, do
     if (status)
         return status;
     memcpy(begin, mean, bytes(n)); /* where steps tend to nothing */
-    for (int j = 1; j < PH_START_TRIALS; j++) {
+    for (int j = 1; j < steps; j++) {
         double change, *swap = row;
         if (try(m, t0, ldexp(h, -j), guess, NULL, next))
             break;

@@ -28,7 +28,7 @@ int ph_trial_before(ph_master *m) {
     ph_clear(m->S0, m->square[m->ncluster]);
     ph_clear(m->sums, m->nbare);
     for (int i = 0; i < m->nshare; i++) {
-        int status = ph_share_before(&m->shares[i], m->nxi, m->S0, m->sums);
+        int status = ph_share_said(m, i, ph_share_before(&m->shares[i], m->nxi, m->S0, m->sums));
         if (status)
             return status;
     }

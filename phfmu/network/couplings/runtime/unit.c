@@ -118,15 +118,11 @@ static int along(const ph_share *s) {
     return PH_OK;
 }
 
-/* What is recorded, and the inputs that it belongs to, outputs of the step behind it. A step in which
- * something happened is left to the Python twin, which tells what. */
+/* What is recorded, and the inputs that it belongs to, outputs of the step behind it. */
 static int record(const ph_share *s, double *to) {
     ph_unit *u = s->of;
     const size_t kn = (size_t)(s->k * s->nu);
     int status = get(s, u->row, to);
-    for (int i = 0; i < u->nhappened && status == PH_OK; i++)
-        if (to[u->happened[i]] != u->before[i])
-            status = PH_REFUSED;
     memcpy(to + u->nrow, s->u, sizeof(double) * kn);
     memcpy(to + u->nrow + kn, u->y, sizeof(double) * kn);
     return status;

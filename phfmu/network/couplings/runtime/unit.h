@@ -69,10 +69,7 @@ typedef struct ph_unit {
     const ph_scalars *row;     /* what is recorded; of nrow */
     const ph_scalars *unknown; /* of k*nu outputs of the step, then nu at its end */
     const ph_scalars *known;   /* one for each direction, of which value is one */
-    const int *happened;       /* nhappened: of what is recorded, what only events change */
-    const double *before;      /* nhappened: how it is between them */
     int nrow;
-    int nhappened;
     double *y;        /* k*nu: work, as all below */
     double *now;      /* nu+1: present */
     double *impulses; /* 2*nkick: of the last step */
@@ -83,7 +80,7 @@ typedef struct ph_unit {
     const char *refused;
 } ph_unit;
 
-/* What is left to the Python twin, which calls again and says why not. */
+/* What is asked again from Python, which says why not. */
 enum { PH_REFUSED = PH_NSTATUS };
 
 /* unit_call.c: around each call. A unit that met a fatal error is not called any more. */
