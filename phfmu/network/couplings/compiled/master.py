@@ -139,6 +139,7 @@ class Master:
         self._left = None
         for own in self._own:
             own.begin(1)
+        self._solver.begin(self._struct, Solution(guess), h)
         arrays = (start.ctypes.data, mean.ctypes.data, begin.ctypes.data)
         with watched(self._own):
             status = self._lib.ph_master_prepare(ctypes.addressof(s), t0, h, START_TRIALS if limit else 1, *arrays)
