@@ -32,14 +32,26 @@ def called_back(stepper: Coupled, called: bool = True) -> Coupled:
     return stepper
 
 
+class Impatient(dict[bytes, Any]):
+    """Masters that give an iteration up after so many trials."""
+
+    def __init__(self, known: dict[bytes, Any], trials: int):
+        self._trials = trials
+        for key, master in known.items():
+            self[key] = master
+
+    def __setitem__(self, key: bytes, master: Any) -> None:
+        master.rules.iterations = self._trials
+        super().__setitem__(key, master)
+
+
 def impatient(stepper: Coupled, trials: int = 1) -> Coupled:
     """The same, which begins as it should and then gives an iteration up after so many trials."""
-    tried = stepper._tried
+    prepare = stepper.prepare
 
-    def then_stopped(t0: float, h: float) -> Any:
-        found = tried(t0, h)
-        stepper.master.rules.iterations = trials
-        return found
+    def then_stopped(t0: float, h: float) -> None:
+        prepare(t0, h)
+        stepper._masters = Impatient(stepper._masters, trials)
 
-    stepper._tried = then_stopped  # type: ignore[method-assign]
+    stepper.prepare = then_stopped  # type: ignore[method-assign]
     return stepper

@@ -44,10 +44,12 @@ EVENTS = {
 #: outputs of the step before make so much energy there that the run is stopped
 STOPPED = {
     ("breaker_opening", "jacobi"),
-    ("smib_breaker", "anderson, stopped"),
+    ("buck", "newton, stopped"),
     ("inrush", "gauss-seidel"),
     ("inrush", "jacobi"),
 }
+#: at rest in the steps that are taken: the first trial is the solution
+STEADY = {"speed_control"}
 SCENES = [n for n, (kind, *_) in LIBRARY.items() if kind == "scene"]
 #: nodes where only inductive branches meet: no output gives their voltage at an instant
 BARE = {
@@ -149,5 +151,5 @@ def test_the_identity_holds(name: str, coupling: str) -> None:
         closes = kind in ("monolithic", "newton", "held", "anderson") or name in HELD
         assert (abs(made) <= 1e-11 * in_play) is closes, "what is exact makes nothing, what is not must be seen"
     else:
-        assert s.events["unconverged"] >= 2
+        assert s.events.get("unconverged", 0) >= 2 or name in STEADY
     assert np.isfinite(result.values).all()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import cycle, product
+from itertools import chain, cycle, product, repeat
 from pathlib import Path
 from typing import Any
 
@@ -282,19 +282,19 @@ def test_rollback(tmp_path: Path, error: Exception, trial: int) -> None:
     stepper, twin = couple(net, kinds, tmp_path), couple(net, kinds, tmp_path)
     for k in range(5):
         stepper.advance(k * 0.01, 0.01, 1)
-    before, last = bits(stepper), stepper.joined.members[2]
-    sound, left = last.do_step, iter([*[None] * (trial - 1), error])
+    before, called = bits(stepper), stepper.joined.members[1]
+    sound, left = called.do_step, chain(repeat(None, trial - 1), repeat(error))
 
     def stubborn(t: float, h: float) -> None:
         sound(t, h)
         if refusal := next(left):
             raise refusal
 
-    last.do_step = stubborn
+    called.do_step = stubborn
     with pytest.raises(type(error), match=str(error)[:8]):
         stepper.advance(0.05, 0.01, 1)
     assert bits(stepper) == before
-    last.do_step = sound
+    called.do_step = sound
     stepper.advance(0.05, 0.01, 1)
     for k in range(6):
         twin.advance(k * 0.01, 0.01, 1)

@@ -48,7 +48,7 @@ class Instant:
             if worst[-1] <= SOLVED or (stays and worst[-1] <= STALLED):
                 return xi
             if self._matrix is None or stays:
-                self._matrix = _regular(joined, joined.instant_matrix(xi))
+                self._matrix = regular(joined, joined.instant_matrix(xi))
             xi = xi + update(self._matrix, r)
         raise StepFailure(
             Status.NO_CONVERGENCE, joined.network.name, t, 0.0, residual=worst[-1], iterations=ITERATIONS, joined=True,
@@ -56,7 +56,8 @@ class Instant:
         )  # fmt: skip
 
 
-def _regular(joined: Joined, matrix: Any) -> Any:
+def regular(joined: Joined, matrix: Any) -> Any:
+    """The matrix of the unknowns at an instant; ValueError names those that no output determines."""
     free = abs(hidden_part(matrix.T, 1.0 / joined.face.nominal)).max(axis=1).toarray().ravel()
     names = [n for n, f in zip(joined.face.names, free, strict=True) if f > 1e-6]
     if names:

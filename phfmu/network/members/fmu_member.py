@@ -281,10 +281,13 @@ class FMUMember:
         return self._with_signals(self.unit.output())
 
     def end_output(self) -> Array:
-        return self._with_signals(self.unit.end_output())
+        y = self._with_signals(self.unit.end_output())
+        if self.sent:
+            y[[*self.sent.values()]] = self.unit.get([*self.sent])
+        return y
 
     def _with_signals(self, y: Array) -> Array:
-        """Outputs of ports (..); those of signals are read by name."""
+        """Outputs of ports (..), with places for those of signals."""
         return np.append(y, np.zeros(self.nu - len(y))) if self.nu > len(y) else y
 
     def sensitivity(self) -> Array:

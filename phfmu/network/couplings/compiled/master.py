@@ -29,7 +29,7 @@ from phfmu.network.couplings.newton import Newton
 from phfmu.network.couplings.signals.held_signals import HeldSignals
 from phfmu.network.couplings.unconverged import Accepting, plain
 from phfmu.network.interface.end_sums import EndSums
-from phfmu.network.interface.instant import Instant
+from phfmu.network.interface.instant import Instant, regular
 from phfmu.network.interface.joined import Joined
 from phfmu.outcome.status import Status, StepFailure
 from phfmu.outcome.steps import StepEvent, Steps
@@ -109,10 +109,15 @@ class Master:
         if self._lib.ph_shares_finish(ctypes.addressof(self._struct), 0):
             raise self._refused(t, h)
         n, e = len(self.joined.face.names), self.found.columns
-        told = self._steps(self._told(rows, t, h), self._xi[:, :n], self._xi[:, e : e + n], sums, h)
+        xi, members, works = self._xi[:, :n], self._told(rows, t, h), steps.works
+        told = self._steps(members, xi, self._xi[:, e : e + n], sums, h)
+        if works is not None:
+            missed = self._estimated(members, xi, h)
+            works = np.hstack([works[:, : works.shape[1] - sum(m.shape[1] for m in missed)], *missed])
         return replace(
-            steps, signals=told["signals"], H=told["H"], events=told["events"], **{k: told[k] for k in LEDGER}
-        )
+            steps, signals=told["signals"], H=told["H"], events=told["events"], works=works,
+            **{k: told[k] for k in LEDGER},
+        )  # fmt: skip
 
     def prepare(self, guess: Array, t0: float, h: float, limit: bool = True) -> tuple[Array, Array] | None:
         """Junction unknowns before the first step: means of a trial step, and those of the instant.
@@ -318,8 +323,11 @@ class Master:
 
     def _of_instant(self, t: float, h: float, status: Status) -> BaseException:
         """The refusal of a coupling that solves for the junctions at the start of the step."""
+        xi = self._z[: len(self.joined.face.names)].copy()
         try:
-            Instant().solve(self.joined, self._z[: len(self.joined.face.names)].copy(), t)
+            self.joined.apply(xi)
+            regular(self.joined, self.joined.instant_matrix(xi))
+            Instant().solve(self.joined, xi, t)
         except (StepFailure, ValueError) as error:
             return error
         return StepFailure(status, self.joined.network.name, t, h, joined=True, tried="the junctions at one instant")
