@@ -29,6 +29,9 @@ class Clears:
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
 def test_an_error_that_was_cleared_is_raised_again(number: int) -> None:
     before, seen = signal.getsignal(signal.SIGALRM), Clears(number)
+    kept = signal.signal(
+        number, signal.SIG_DFL if number != signal.SIGINT else signal.default_int_handler
+    )  # if ignored
     begun = time.monotonic()
     with pytest.raises(Interrupted) as stop, raising():
         with pytest.raises((NotImplementedError, TypeError)):
@@ -37,6 +40,7 @@ def test_an_error_that_was_cleared_is_raised_again(number: int) -> None:
         time.sleep(10.0)
     assert stop.value.number == number and time.monotonic() - begun < 4 * AGAIN
     assert signal.getsignal(signal.SIGALRM) is before and signal.getitimer(signal.ITIMER_REAL)[0] == 0.0
+    signal.signal(number, kept)
 
 
 def test_what_ends_by_it_is_left_alone() -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable, Mapping
 from typing import Any
+from weakref import ref
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,10 +42,10 @@ class CalledShare:
         k, nu, ncomp = part.k, part.nu, len(part.member.booking.components)
         self._outputs, self._energies, self._end = np.zeros((k, nu)), np.zeros(ncomp), np.zeros(nu)
         calls: list[Any] = [  # in the order of `ph_kind`
-            _PLAIN(self._called(self._keep)), _PLAIN(self._restore), _STEP(self._called(self._step)),
-            *(_PLAIN(self._called(f)) for f in (self._refresh, self._jump, self._more)), _PLAIN(self._along),
-            _PLAIN(self._called(self._present)), _RECORD(self._called(self._record)),
-            *(_PLAIN(self._called(f)) for f in (self._tell, self._take)),
+            _PLAIN(self._called("_keep")), _PLAIN(self._answered("_restore")), _STEP(self._called("_step")),
+            *(_PLAIN(self._called(f)) for f in ("_refresh", "_jump", "_more")), _PLAIN(self._answered("_along")),
+            _PLAIN(self._called("_present")), _RECORD(self._called("_record")),
+            *(_PLAIN(self._called(f)) for f in ("_tell", "_take")),
         ]  # fmt: skip
         self._kept_alive = calls
         self.values: dict[str, Any] = {
@@ -58,19 +59,31 @@ class CalledShare:
         self._told, self._taken, self._S = (values[n] for n in ("told", "taken", "jump"))
         self._dy, self._dend = values["dy"], values["dend"]
 
-    def _called(self, act: Callable[..., None]) -> Callable[..., int]:
-        """As C calls it."""
+    def _called(self, name: str) -> Callable[..., int]:
+        """As C calls it; what C holds does not keep the member, whose unit may be the only one of its process."""
+        own = ref(self)
 
         def call(_: int, *args: Any) -> int:
-            if self._blocked:
+            share = own()
+            if share is None or share._blocked:
                 return REFUSED
             try:
-                act(*args)
+                getattr(share, name)(*args)
             except BaseException as error:
-                self._error = error
-                self._blocked = not isinstance(error, StepFailure) or error.final or isinstance(error, EndRequested)
+                share._error = error
+                share._blocked = not isinstance(error, StepFailure) or error.final or isinstance(error, EndRequested)
                 return REFUSED
             return OK
+
+        return call
+
+    def _answered(self, name: str) -> Callable[..., int]:
+        """The same of a function that has an answer of its own."""
+        own = ref(self)
+
+        def call(_: int) -> int:
+            share = own()
+            return REFUSED if share is None else getattr(share, name)()
 
         return call
 
@@ -79,7 +92,7 @@ class CalledShare:
     def _keep(self) -> None:
         self._state = self._member.get_state() if self._member.saves else None
 
-    def _restore(self, _: int) -> int:
+    def _restore(self) -> int:
         """Also after it has refused a step."""
         try:
             if self._state is not None:
@@ -106,7 +119,7 @@ class CalledShare:
     def _more(self) -> None:
         self._part.values.add_impulse(self._s[: self._part.kicks].copy(), self._state)
 
-    def _along(self, _: int) -> int:
+    def _along(self) -> int:
         """Derivatives of the last step; what knows none is asked for differences."""
         part = self._part
         self._dy[:], self._dend[:] = 0.0, 0.0

@@ -10,6 +10,7 @@ import ctypes
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
+from weakref import ref
 
 import numpy as np
 from numpy.typing import NDArray
@@ -207,8 +208,20 @@ class CalledSolver:
         moves, starts = isinstance(coupling, Moves), isinstance(coupling, Starts)
         self.words = f"the interface iteration of {type(coupling).__name__}" if moves else ""
         none = ctypes.c_void_p(None)
-        start = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int)(self._start) if starts else none
-        move = ctypes.CFUNCTYPE(ctypes.c_int, *[ctypes.c_void_p] * 2, ctypes.c_int)(self._move) if moves else none
+        own = ref(self)  # what C holds does not keep the members
+
+        def taken(rule: str) -> int:
+            solver = own()
+            return 1 if solver is None else solver._take(getattr(solver._coupling, rule))
+
+        def start_from(_: int, __: int) -> None:
+            taken("started")
+
+        def move_on(_: int, __: int, ___: int) -> int:
+            return taken("moved")
+
+        start = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int)(start_from) if starts else none
+        move = ctypes.CFUNCTYPE(ctypes.c_int, *[ctypes.c_void_p] * 2, ctypes.c_int)(move_on) if moves else none
         idle = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int)(lambda _, __: None)
         calls = [
             none,
@@ -240,12 +253,6 @@ class CalledSolver:
 
     def memory(self, struct: Any) -> Array:
         return self._rows.copy()
-
-    def _start(self, _: int, __: int) -> None:
-        self._take(self._coupling.started)
-
-    def _move(self, _: int, __: int, ___: int) -> int:
-        return self._take(self._coupling.moved)
 
     def _take(self, rule: Callable[[Joined, Array, Array], Array]) -> int:
         """The unknowns by a rule; what it raises ends the step."""
