@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.audit.booking import Booking
 from phfmu.engine.rest_changes import RestChange
 from phfmu.fmu.importer.reader import FMUInstance
 from phfmu.interrupt import Interrupted
@@ -30,11 +29,8 @@ class FMUStepper:
         self.member = FMUMember(unit.name, unit)
         self.unit = unit
         self.names = self.member.names
+        self.booking = self.member.booking
         self._u = unit.start_inputs()
-
-    @property
-    def booking(self) -> Booking:
-        return self.member.booking
 
     @property
     def units(self) -> dict[str, str]:
@@ -70,6 +66,7 @@ class FMUStepper:
         found = self.member.input_places(name)
         if not found:
             if kind := self.member.set_parameter(name, value):
+                self.booking = self.member.booking
                 return kind
             raise KeyError(f"{self.unit.name} has no input '{name}'; {meant(name, self.settable())}")
         self._u[found] = value * self.member.input_sign[found]
