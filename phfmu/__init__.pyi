@@ -52,6 +52,8 @@ from phfmu.declare.variable import time as time
 from phfmu.derivatives.fit import Experiment as Experiment
 from phfmu.derivatives.fit import Fit as Fit
 from phfmu.derivatives.fit import fit as fit
+from phfmu.derivatives.gradient import Gradient as Gradient
+from phfmu.derivatives.gradient import gradient as gradient
 from phfmu.derivatives.modes import Eigenmode as Eigenmode
 from phfmu.derivatives.modes import Eigenmodes as Eigenmodes
 from phfmu.derivatives.modes import modes_at as modes_at

@@ -21,8 +21,8 @@ ROOMS = (
     "outcome", "events", "discretise", "engine", "checks", "signals", "results", "importers", "audit", "fmu", "vet",
     "network", "network.scene",
     "network.members", "network.interface", "network.impulses", "network.couplings", "network.as_unit",
-    "runs", "derivatives", "network.check_scene", "ssp", "operating", "components", "arguments", "target", "report",
-    "sweeps", "studies", "cli",
+    "runs", "network.check_scene", "ssp", "operating", "components", "arguments", "target", "report",
+    "sweeps", "derivatives", "studies", "cli",
 )  # fmt: skip
 
 

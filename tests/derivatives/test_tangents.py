@@ -124,3 +124,15 @@ def test_a_step_in_parts_and_a_driven_input_are_told() -> None:
     stepper = SensitiveSteps(model, PythonInstance(model), ["terminal.v"])
     with pytest.raises(ValueError, match="terminal.v is set within the run"):
         run(stepper, Options(stop=0.01, step=1e-3, events=(Event(0.004, "terminal.v", 3.0),)))
+
+
+def test_large_plans_are_factored_sparse(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same derivatives, from sparse factors of each step."""
+    model = build_model(build("oscillator").declaration(), ph.Collocated(2))
+    options, found = Options(stop=0.3, step=1e-2), []
+    for full in (160, 0):
+        monkeypatch.setattr("phfmu.derivatives.plan_function.FULL", full)
+        found.append(
+            run(SensitiveSteps(model, PythonInstance(model), ["mass1.m", "spring12.k", "mass1.q"]), options).values
+        )
+    assert np.abs(found[0] - found[1]).max() <= 1e-12 * np.abs(found[0]).max()

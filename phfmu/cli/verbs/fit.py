@@ -89,7 +89,7 @@ def call(args: argparse.Namespace) -> int:
     if args.output:
         Path(args.output).write_text(json.dumps(as_json(found), indent=2) + "\n")
     if args.plot:
-        from phfmu.report.picture.fit import draw_fit
+        from phfmu.derivatives.fit_picture import draw_fit
 
         draw_fit(found, args.plot)
     return FINE
