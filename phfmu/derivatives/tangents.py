@@ -78,6 +78,8 @@ class Taken:
     a_end: Array
 
 
+#: a start along which no hidden constraint moves by this part of its size, for a move of the size of what moves, stays on them
+KEPT = 1e-10
 #: what is told of a step and at an instant, by the block of a row, each one after the other
 OF_STEP, OF_INSTANT = ("a", "y_step", "energy", "dissipated"), ("a_end", "y_end", "observables", "H")
 
@@ -115,27 +117,42 @@ class Tangents:
 
     def at_start(self, t: float, given: Array, x: Array, u: Array, p: Array, a_end: Array) -> dict[str, Array]:
         """Blocks of the first row: name -> (1 x entries x names); `given`: states, of which x is the projection."""
-        self.S = self._start(t, given, p)
         point = (np.array([t]), x[None], u[None], p, a_end[None])
+        self.S, along = self._free(p)
         found = self._at_instants(point, self.S[None])
+        moved = (
+            self._leaves(found["observables"][0], p) if np.array_equal(given, x) else np.ones(len(self.by.names), bool)
+        )
+        if self.model.checks and moved.any():
+            from phfmu.derivatives.starts import consistent
+
+            for column in np.flatnonzero(moved):
+                self.S[:, column] = consistent(self.model, given, p, t, self.S[:, column], along[:, column])
+            found = self._at_instants(point, self.S[None])
         blocks = {"x": self.S[None].copy(), **found}
         blocks |= {"a": found["a_end"], "y_step": found["y_end"]}
         return self._with_sums(blocks, {n: s[None] for n, s in self._sums.items()})
 
-    def _start(self, t: float, x: Array, p: Array) -> Array:
-        """Tangents of the start, which stays on its constraints."""
-        S, along = np.zeros((len(x), len(self.by.names))), np.zeros((len(p), len(self.by.names)))
+    def _free(self, p: Array) -> tuple[Array, Array]:
+        """Tangents of the states and of the parameters at a start that nothing holds."""
+        n = len(self.by.names)
+        S, along = np.zeros((self.model.step.nx, n)), np.zeros((len(p), n))
         for state, column in self.by.starts:
             S[state, column] = 1.0
         for parameter, column in zip(self.by.directions.parameters, self.by.columns, strict=False):
             along[parameter, column] = 1.0
-        if not self.model.checks:
-            return S
-        from phfmu.derivatives.starts import consistent
+        return S, along
 
-        for column in range(S.shape[1]):
-            S[:, column] = consistent(self.model, x, p, t, S[:, column], along[:, column])
-        return S
+    def _leaves(self, reported: Array, p: Array) -> NDArray[np.bool_]:
+        """By name, whether a start moved along it would leave its hidden constraints."""
+        model, first = self.model, len(self.model.observable_names)
+        off = np.abs(reported[first : first + len(model.checks)])
+        sizes = np.ones(len(self.by.names))
+        for parameter, column in zip(self.by.directions.parameters, self.by.columns, strict=False):
+            sizes[column] = abs(p[parameter]) or 1.0
+        for state, column in self.by.starts:
+            sizes[column] = abs(model.x0[state]) or 1.0
+        return np.any(off * sizes > KEPT * np.asarray(model.check_scale)[:, None], axis=0)
 
     def over(self, steps: Taken) -> dict[str, Array]:
         """Blocks of the rows at the ends of steps that go on from those before: name -> (n x entries x names)."""
