@@ -140,22 +140,40 @@ class Finder:
 
     def _unfit(self, cluster: list[int]) -> str:
         """Why no impulse may act at these rows ("": some may)."""
-        model, states = self.terms.model, self._states(cluster)
-        names = [n for v in model.states for n in v.names()]
-        nodes = [n for v in model.algebraics for n in v.names()]
+        states = self._states(cluster)
         for i in states:
             if i in self._special:
-                return f"the row of {names[i]} has E other than identity"
+                return f"the row of {self._state_names[i]} has E other than identity"
             if i not in self.owner:
-                return f"{names[i]} stores no energy"
+                return f"{self._state_names[i]} stores no energy"
         psi = ca.vertcat(*(self.x[i] for i in states))
-        algebraics = ca.vertcat(*(v.sx for v in model.algebraics))
         for r in cluster:
-            if ca.depends_on(self.expr[r], algebraics) or ca.depends_on(self.L[r], self.z):
-                return f"the row of {nodes[r]} contains other algebraic variables"
+            if self._reads(self.expr[r], self._algebraics) or self._reads(self.L[r], self._costates):
+                return f"the row of {self._nodes[r]} contains other algebraic variables"
             if depends(self.L[r], psi):
-                return f"the coefficients of {nodes[r]} depend on the states they act on"
+                return f"the coefficients of {self._nodes[r]} depend on the states they act on"
         return ""
+
+    @staticmethod
+    def _reads(expr: ca.SX, some: frozenset[int]) -> bool:
+        """Whether one of `some` symbols, by their hashes, stands in an expression."""
+        return any(s.element_hash() in some for s in ca.symvar(expr))
+
+    @cached_property
+    def _algebraics(self) -> frozenset[int]:
+        return frozenset(s.element_hash() for v in self.terms.model.algebraics for s in ca.vertsplit(v.sx))
+
+    @cached_property
+    def _costates(self) -> frozenset[int]:
+        return frozenset(s.element_hash() for s in ca.vertsplit(self.z))
+
+    @cached_property
+    def _state_names(self) -> list[str]:
+        return [n for v in self.terms.model.states for n in v.names()]
+
+    @cached_property
+    def _nodes(self) -> list[str]:
+        return [n for v in self.terms.model.algebraics for n in v.names()]
 
     def _bent(self, S: ca.SX, psi: ca.SX) -> str:
         return (
