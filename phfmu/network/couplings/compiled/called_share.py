@@ -42,7 +42,7 @@ class CalledShare:
         k, nu, ncomp = part.k, part.nu, len(part.member.booking.components)
         self._outputs, self._energies, self._end = np.zeros((k, nu)), np.zeros(ncomp), np.zeros(nu)
         calls: list[Any] = [  # in the order of `ph_kind`
-            _PLAIN(self._called("_keep")), _PLAIN(self._answered("_restore")), _STEP(self._called("_step")),
+            _PLAIN(self._called("_keep")), _PLAIN(self._answered("_restore")), _STEP(self._called("_advance")),
             *(_PLAIN(self._called(f)) for f in ("_refresh", "_jump", "_more")), _PLAIN(self._answered("_along")),
             _PLAIN(self._called("_present")), _RECORD(self._called("_record")),
             *(_PLAIN(self._called(f)) for f in ("_tell", "_take")),
@@ -102,7 +102,7 @@ class CalledShare:
             return REFUSED
         return OK
 
-    def _step(self, t: float, h: float) -> None:
+    def _advance(self, t: float, h: float) -> None:
         self._error = None
         n = self._part.kicks
         impulses = (self._s[:n].copy(), self._s[n:].copy()) if n else None
