@@ -114,3 +114,25 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert "expected a file of phfmu fit" in capsys.readouterr().err
     assert main(["fit", "dc_motor", str(data), "--free", "R", "--measure", "terminal.x", *words]) == 2
     assert "has no signal 'terminal.x'" in capsys.readouterr().err
+
+
+def test_the_command_takes_more_experiments(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    data = measured(8).save(tmp_path / "a.csv")
+    more = measured(9, voltage=6.0).save(tmp_path / "b.csv")
+    words = [
+        "--free",
+        "R,k",
+        "--measure",
+        "terminal.i,shaft.speed",
+        "--set",
+        "terminal.v=12",
+        "--set",
+        "k=0.06",
+        "--order",
+        "4",
+    ]
+    words += ["--experiment", f"{more}:terminal.v=6", "--step", str(STEP), "-o", str(tmp_path / "f.json")]
+    assert main(["fit", "dc_motor", str(data), *words]) == 0
+    assert "from 804 measurements" in capsys.readouterr().out
+    found = json.loads((tmp_path / "f.json").read_text())
+    assert found["values"]["k"] == pytest.approx(0.05, rel=5e-3) and found["residual"] == pytest.approx(NOISE, rel=0.3)

@@ -59,7 +59,7 @@ def call(args: argparse.Namespace) -> int:
     from phfmu.cli.codes import FINE
     from phfmu.cli.job import with_given
     from phfmu.cli.options import scene_of, scheme_of
-    from phfmu.cli.progress import Bar
+    from phfmu.cli.progress import Line
     from phfmu.cli.stepping import engine_of, instance_of
     from phfmu.derivatives.fit import fit
     from phfmu.discretise.model import build_model
@@ -74,10 +74,12 @@ def call(args: argparse.Namespace) -> int:
     experiments = _experiments(args, scene, declaration.settable_names())
     steps = max(e.options.stop / e.options.step for e in experiments)
     instance = instance_of(model, engine_of(args.engine), "auto", 100.0 * steps)
-    with Signals() as signals, Bar("fitting", 1.0, args.quiet):
+    with Signals() as signals, Line() as line:
 
-        def progress(_: int, __: float) -> None:
+        def progress(runs: int, residual: float) -> None:
             signals.check()
+            if not args.quiet:
+                line(f"run {runs}: residual {residual:.4g}")
 
         found = fit(
             model, instance, experiments, _names(args.free), _names(args.measure),
