@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from math import pi
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +13,8 @@ if TYPE_CHECKING:
 
 #: modes that are printed without --all
 MOST = 24
+#: of eigenvalues
+ROUNDING = 1e-11
 
 
 def add_parser(verbs: Any) -> None:
@@ -88,12 +91,19 @@ def _lines(args: argparse.Namespace, found: Eigenmodes) -> list[str]:
     lines.append(f"{'Re s in 1/s':>14}{'Hz':>12}{'damping':>10}{'Re of the model':>17}{'Hz':>12}  states")
     shown = found.modes if args.all else found.modes[:MOST]
     for m in shown:
-        own = (f"{'':17}{'':12}" if m.model is None
-               else f"{m.model.real:17.6g}{abs(m.model.imag) / 6.283185307179586:12.6g}")  # fmt: skip
-        lines.append(f"{m.s.real:14.6g}{m.frequency:12.6g}{m.damping:10.4f}{own}  {names_of(m.shares)}")
+        real, hertz = _rounded(m.s, found.step)
+        damping = m.damping if real else 0.0
+        own = f"{'':17}{'':12}" if m.model is None else "{:17.6g}{:12.6g}".format(*_rounded(m.model, found.step))
+        lines.append(f"{real:14.6g}{hertz:12.6g}{damping:10.4f}{own}  {names_of(m.shares)}")
     if len(shown) < len(found.modes):
         lines.append(f"and {len(found.modes) - len(shown)} more (--all)")
     return lines
+
+
+def _rounded(s: complex, step: float) -> tuple[float, float]:
+    """Re s and the frequency [Hz], 0 where they are rounding beside |s| and what a step resolves."""
+    least = ROUNDING * max(abs(s), 1.0 / step)
+    return (s.real if abs(s.real) > least else 0.0), (abs(s.imag) / (2 * pi) if abs(s.imag) > least else 0.0)
 
 
 def as_json(found: Eigenmodes) -> dict[str, Any]:
