@@ -217,7 +217,7 @@ def of_quantities(quantities: Sequence[Quantity], blocks: dict[str, Array], by: 
 def require_smooth(model: Model) -> None:
     """ValueError for what has no tangents here."""
     d = model.declaration
-    if d.state_events or d.switches:
+    if d.state_events or d.switches or model.modes is not None:
         names = [e.guard.name for e in d.state_events][:3] or ["ideal switches"]
         raise ValueError(
             f"{d.name} has state events ({', '.join(names)}), whose instants move with the parameters; derivatives are told of "

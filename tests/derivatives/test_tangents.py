@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from random import Random
 from typing import Any
 
 import numpy as np
@@ -10,8 +11,9 @@ import pytest
 import phfmu as ph
 from phfmu import Event, NativeInstance, Options, PythonInstance, build_model, run
 from phfmu.cli import main
-from phfmu.components.library import build
+from phfmu.components.library import LIBRARY, build
 from phfmu.derivatives.sensitive import SensitiveSteps
+from phfmu.derivatives.tangents import By, Tangents
 from phfmu.results.file import open_result
 from tests.derivatives.differences import worst
 from tests.wide import wide
@@ -47,6 +49,30 @@ def test_columns_are_the_differences_of_runs(name: str, order: int) -> None:
     assert {by for _, by in errors} == set(by)
     bad = {k: e for k, e in errors.items() if e > ACCURACY.get(name, 1e-7)}
     assert bad == {}
+
+
+#: scenes of fewer than a hundred members
+SCENES = [
+    n for n, (kind, *_) in LIBRARY.items() if kind == "scene" and n not in ("wecc240", "grid", "ieee39", "new_england")
+]
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("compiler")
+@pytest.mark.parametrize("name", SCENES)
+def test_every_scene_by_some_of_its_parameters(name: str) -> None:
+    """Twenty steps, all columns; differences of columns that hardly follow a parameter are rounding of the columns."""
+    scene = build(name)
+    d = scene.declaration()
+    known = [n for v in d.parameters for n, x in zip(v.names(), v.start, strict=True) if x and n not in d.modes]
+    by = Random(1).sample(known, min(4, len(known)))
+    if d.state_events or d.switches:
+        with pytest.raises(ValueError, match="whose instants move with the parameters"):
+            Tangents(build_model(d), By.of(d, by))
+        return
+    events = tuple(e for e in scene.events if e.t < 20 * scene.step)
+    errors = worst(d, by, Options(stop=20 * scene.step, step=scene.step, events=events, project=True), 2)
+    assert {k: e for k, e in errors.items() if e > 2e-6} == {}
 
 
 @pytest.mark.usefixtures("compiler")
@@ -94,6 +120,7 @@ def test_units_and_names() -> None:
 REFUSED = {
     "bouncing_ball": (["--sensitivity", "g"], "state events (floor), whose instants move with the parameters"),
     "rectifier": (["--sensitivity", "load.R"], "state events (bridge.pair1.opens"),
+    "clutch": (["--sensitivity", "engaged", "--stop", "0.01", "--step", "1e-3"], "ideal switches"),
     "smib": (["--sensitivity", "gen.Q"], "no parameter, state or input 'gen.Q'"),
     "oscillator": (["--sensitivity", "mass1.m", "--coupling", "newton"], "--sensitivity is for one composed model"),
     "dc_motor": (["--sensitivity", "R", "--rtol", "1e-3"], "--sensitivity and --rtol do not go together"),
