@@ -161,6 +161,11 @@ def check_name(level: str, name: str) -> str:
     return f"{CONSTRAINT}{level}.{name}"
 
 
+def derivative_name(signal: str, by: str) -> str:
+    """gen.w, gen.J -> d(gen.w)/d(gen.J)."""
+    return f"d({signal})/d({by})"
+
+
 def of_member(member: str, name: str) -> str:
     """How the whole calls what a member calls `name`: gen.I[1], constraint.velocity.arm.lambda[1].
 

@@ -19,13 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.declare.parameter_limits import limits
-from phfmu.derivatives.names import derivative_name
 from phfmu.derivatives.sensitive import SensitiveSteps
 from phfmu.discretise.model import Model
 from phfmu.outcome.status import StepFailure
 from phfmu.results.table import Table
 from phfmu.runs.loop import run
 from phfmu.runs.options import Options
+from phfmu.signals import derivative_name
 
 Array = NDArray[np.float64]
 

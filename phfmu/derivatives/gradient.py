@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.derivatives.names import derivative_name
 from phfmu.derivatives.sensitive import SensitiveSteps
 from phfmu.discretise.model import Model
 from phfmu.network.members.columns import Columns
 from phfmu.runs.loop import run
 from phfmu.runs.options import Options
+from phfmu.signals import derivative_name
 from phfmu.sweeps.measures import Measure, measures
 
 Array = NDArray[np.float64]

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.derivatives.names import derivative_name
 from phfmu.derivatives.tangents import By, Taken, Tangents, of_quantities
 from phfmu.discretise.model import Model
 from phfmu.discretise.start import Projection
@@ -18,7 +17,7 @@ from phfmu.network.members.inputs import Inputs
 from phfmu.network.scene import Event
 from phfmu.outcome.steps import Steps
 from phfmu.schemes.scheme import Scheme
-from phfmu.signals import Quantity, SignalKind, quantities
+from phfmu.signals import Quantity, SignalKind, derivative_name, quantities
 
 Array = NDArray[np.float64]
 

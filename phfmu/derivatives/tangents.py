@@ -5,7 +5,8 @@ The state has the tangents S = dx/dtheta (nx x directions).  A step x1 = x0 + U 
     S1 = S0 + U dw,     dw = W_x S0 + W_theta,
 
 and what is told of the step or at its end follows from them as the values do.  The derivative is that of the solution of F, to
-the accuracy to which steps are solved.
+the accuracy to which steps are solved.  Where hidden constraints hold at the start (currents that sum to zero, lengths), a
+parameter that is in them moves the start as `phfmu run --project` would.
 
 Source: implicit function theorem on the step; docs/understand/derivatives.md.
 """
@@ -78,6 +79,8 @@ class Taken:
     a_end: Array
 
 
+#: steps of the differences, of the size of what is moved: the error of the extrapolation and rounding are about 1e-11 there
+DIFFERENCES = (2e-4, 1e-4)
 #: a start along which no hidden constraint moves by this part of its size, for a move of the size of what moves, stays on them
 KEPT = 1e-10
 #: what is told of a step and at an instant, by the block of a row, each one after the other
@@ -124,10 +127,8 @@ class Tangents:
             self._leaves(found["observables"][0], p) if np.array_equal(given, x) else np.ones(len(self.by.names), bool)
         )
         if self.model.checks and moved.any():
-            from phfmu.derivatives.starts import consistent
-
             for column in np.flatnonzero(moved):
-                self.S[:, column] = consistent(self.model, given, p, t, self.S[:, column], along[:, column])
+                self.S[:, column] = projected(self.model, given, p, t, self.S[:, column], along[:, column])
             found = self._at_instants(point, self.S[None])
         blocks = {"x": self.S[None].copy(), **found}
         blocks |= {"a": found["a_end"], "y_step": found["y_end"]}
@@ -200,6 +201,20 @@ class Tangents:
         nx = plan.nx
         rows = np.matmul(found[:, :, :nx], S) + self.by.spread(found[:, :, nx:]) * self._acts
         return {name: rows[:, place] for name, place in self._of_instant.items()}
+
+
+def projected(model: Model, x: Array, p: Array, t: float, dx: Array, dp: Array) -> Array:
+    """The tangent of the projected start (nx) along dx of the states and dp of the parameters, by extrapolated differences."""
+    from phfmu.discretise.start import project_start
+
+    sizes = [np.abs(v) / np.abs(d) for v, d in ((x, dx), (p, dp)) if d.any() for v, d in [(v[d != 0], d[d != 0])]]
+    size = float(max((s.max() for s in sizes), default=1.0)) or 1.0
+    found = []
+    for part in DIFFERENCES:
+        e = part * size
+        ends = [project_start(model, x + sign * e * dx, p=p + sign * e * dp, t=t).x for sign in (1.0, -1.0)]
+        found.append((ends[0] - ends[1]) / (2 * e))
+    return found[1] + (found[1] - found[0]) / 3.0
 
 
 def of_quantities(quantities: Sequence[Quantity], blocks: dict[str, Array], by: By) -> Array:

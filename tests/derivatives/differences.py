@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from phfmu import NativeInstance, Options, build_model, default_scheme, run
-from phfmu.derivatives.names import derivative_name
 from phfmu.derivatives.sensitive import SensitiveSteps
 from phfmu.network.couplings.monolithic import Monolithic
+from phfmu.signals import derivative_name
 
 
 def richardson(values: Callable[[float], np.ndarray], at: float, step: float) -> np.ndarray:

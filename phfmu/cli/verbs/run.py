@@ -105,9 +105,9 @@ def call(args: argparse.Namespace) -> int:
     from phfmu.cli.progress import Bar
     from phfmu.cli.sound import require_sound_scene
     from phfmu.cli.timeline import timeline
-    from phfmu.derivatives.names import derivative_name
     from phfmu.interrupt import Signals
     from phfmu.runs.loop import run
+    from phfmu.signals import derivative_name
     from phfmu.target import is_fmu
 
     accuracy.require_fit(args)
