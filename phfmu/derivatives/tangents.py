@@ -79,10 +79,8 @@ class Taken:
     a_end: Array
 
 
-#: steps of the differences, of the size of what is moved: the error of the extrapolation and rounding are about 1e-11 there
+#: steps of differences, of the size of what is moved: the error of the extrapolation and rounding are about 1e-11 there
 DIFFERENCES = (2e-4, 1e-4)
-#: a start along which no hidden constraint moves by this part of its size, for a move of the size of what moves, stays on them
-KEPT = 1e-10
 #: what is told of a step and at an instant, by the block of a row, each one after the other
 OF_STEP, OF_INSTANT = ("a", "y_step", "energy", "dissipated"), ("a_end", "y_end", "observables", "H")
 
@@ -120,16 +118,10 @@ class Tangents:
 
     def at_start(self, t: float, given: Array, x: Array, u: Array, p: Array, a_end: Array) -> dict[str, Array]:
         """Blocks of the first row: name -> (1 x entries x names); `given`: states, of which x is the projection."""
-        point = (np.array([t]), x[None], u[None], p, a_end[None])
         self.S, along = self._free(p)
-        found = self._at_instants(point, self.S[None])
-        moved = (
-            self._leaves(found["observables"][0], p) if np.array_equal(given, x) else np.ones(len(self.by.names), bool)
-        )
-        if self.model.checks and moved.any():
-            for column in np.flatnonzero(moved):
-                self.S[:, column] = projected(self.model, given, p, t, self.S[:, column], along[:, column])
-            found = self._at_instants(point, self.S[None])
+        if self.model.checks:
+            self.S = _held(self.model, given, x, p, t, self.S, along)
+        found = self._at_instants((np.array([t]), x[None], u[None], p, a_end[None]), self.S[None])
         blocks = {"x": self.S[None].copy(), **found}
         blocks |= {"a": found["a_end"], "y_step": found["y_end"]}
         return self._with_sums(blocks, {n: s[None] for n, s in self._sums.items()})
@@ -143,17 +135,6 @@ class Tangents:
         for parameter, column in zip(self.by.directions.parameters, self.by.columns, strict=False):
             along[parameter, column] = 1.0
         return S, along
-
-    def _leaves(self, reported: Array, p: Array) -> NDArray[np.bool_]:
-        """By name, whether a start moved along it would leave its hidden constraints."""
-        model, first = self.model, len(self.model.observable_names)
-        off = np.abs(reported[first : first + len(model.checks)])
-        sizes = np.ones(len(self.by.names))
-        for parameter, column in zip(self.by.directions.parameters, self.by.columns, strict=False):
-            sizes[column] = abs(p[parameter]) or 1.0
-        for state, column in self.by.starts:
-            sizes[column] = abs(model.x0[state]) or 1.0
-        return np.any(off * sizes > KEPT * np.asarray(model.check_scale)[:, None], axis=0)
 
     def over(self, steps: Taken) -> dict[str, Array]:
         """Blocks of the rows at the ends of steps that go on from those before: name -> (n x entries x names)."""
@@ -203,18 +184,30 @@ class Tangents:
         return {name: rows[:, place] for name, place in self._of_instant.items()}
 
 
-def projected(model: Model, x: Array, p: Array, t: float, dx: Array, dp: Array) -> Array:
-    """The tangent of the projected start (nx) along dx of the states and dp of the parameters, by extrapolated differences."""
-    from phfmu.discretise.start import project_start
+def _held(model: Model, given: Array, x: Array, p: Array, t: float, dx: Array, dp: Array) -> Array:
+    """Tangents (nx x n) of a start that is projected onto its constraints, from `given` to x, along dx and dp (np x n).
 
-    sizes = [np.abs(v) / np.abs(d) for v, d in ((x, dx), (p, dp)) if d.any() for v, d in [(v[d != 0], d[d != 0])]]
-    size = float(max((s.max() for s in sizes), default=1.0)) or 1.0
-    found = []
-    for part in DIFFERENCES:
-        e = part * size
-        ends = [project_start(model, x + sign * e * dx, p=p + sign * e * dp, t=t).x for sign in (1.0, -1.0)]
-        found.append((ends[0] - ends[1]) / (2 * e))
-    return found[1] + (found[1] - found[0]) / 3.0
+    Where the projection has moved it, they are differences of projections, extrapolated from two steps.
+    """
+    from phfmu.discretise.start import project_start, start_tangents
+
+    if np.array_equal(given, x):
+        return start_tangents(model, x, p, t, dx, dp)
+    columns = []
+    for along, by in zip(dx.T, dp.T, strict=True):
+        size = max(_size(x, along), _size(p, by)) or 1.0
+        found = []
+        for part in DIFFERENCES:
+            ends = [project_start(model, given + e * along, p=p + e * by, t=t).x for e in (part * size, -part * size)]
+            found.append((ends[0] - ends[1]) / (2 * part * size))
+        columns.append(found[1] + (found[1] - found[0]) / 3.0)
+    return np.column_stack(columns)
+
+
+def _size(values: Array, along: Array) -> float:
+    """How far along a direction a move of the size of the values goes."""
+    moved = along != 0
+    return float(np.max(np.abs(values[moved]) / np.abs(along[moved]), initial=0.0))
 
 
 def of_quantities(quantities: Sequence[Quantity], blocks: dict[str, Array], by: By) -> Array:

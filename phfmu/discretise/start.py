@@ -86,14 +86,10 @@ def project_start(
     names = [n for v in model.declaration.states for n in v.names()]
     kept = _kept(model, names, list(keep))
     rows = _Constraints(model, model.p0 if p is None else np.asarray(p, float), model.t0 if t is None else t)
-    level = np.array([c.level for c in model.checks])
-    positions = rows.pattern[level == Level.POSITION].any(axis=0)
-    nominal = np.array([v.nominal[j] for v in model.declaration.states for j in range(v.n)])
-    scale = np.where(nominal != 0, np.abs(nominal), 1.0)
+    places, velocities = _levels(model, rows, kept)
     first = rows.values(start)
-    placed = _placed(rows, start, _Level(level == Level.POSITION, positions & ~kept, scale, False), kept, names)
-    reached = moved_by_impulses(rows.terms) & ~positions
-    now = _placed(rows, placed, _Level(level == Level.VELOCITY, reached & ~kept, scale, True), kept, names)
+    placed = _placed(rows, start, places, kept, names)
+    now = _placed(rows, placed, velocities, kept, names)
     moved = [(n, float(a), float(b)) for n, a, b in zip(names, start, now, strict=True) if a != b]
     last, impulse = rows.values(now), rows.work(placed, now)
     changes = rows.energies(placed) - rows.energies(start) + impulse
@@ -103,6 +99,38 @@ def project_start(
         dict(zip(rows.labels, map(float, last), strict=True)), float(changes.sum()), off, tuple(map(float, changes)),
         -float(impulse.sum()),
     )  # fmt: skip
+
+
+def start_tangents(model: Model, x: Array, p: Array, t: float, dx: Array, dp: Array) -> Array:
+    """Tangents (nx x n) of the projection of a consistent start x, along dx of the states and dp (np x n) of the parameters."""
+    rows = _Constraints(model, p, t)
+    along, slope, by_parameters = np.array(dx, float), rows.jacobian(x), rows.by_parameters(x) @ dp
+    for level in _levels(model, rows, np.zeros(len(x), bool)):
+        if not level.rows.any() or not level.free.any():
+            continue
+        metric = rows.hessian(x) if level.energetic else np.diag(level.scale**-2)
+        gradient = rows.forces(x) if level.energetic else slope
+        for own, states in level.parts(rows):
+            off = slope[own] @ along + by_parameters[own]
+            for column in np.flatnonzero(off.any(axis=0)):
+                among = metric[np.ix_(states, states)]
+                along[states, column] += _least(
+                    among, gradient[np.ix_(own, states)], -off[:, column], level.scale[states]
+                )
+    return along
+
+
+def _levels(model: Model, rows: _Constraints, kept: NDArray[np.bool_]) -> tuple[_Level, _Level]:
+    """Positions, then velocities; without the states that are kept."""
+    level = np.array([c.level for c in model.checks])
+    positions = rows.pattern[level == Level.POSITION].any(axis=0)
+    nominal = np.array([v.nominal[j] for v in model.declaration.states for j in range(v.n)])
+    scale = np.where(nominal != 0, np.abs(nominal), 1.0)
+    reached = moved_by_impulses(rows.terms) & ~positions
+    return (
+        _Level(level == Level.POSITION, positions & ~kept, scale, False),
+        _Level(level == Level.VELOCITY, reached & ~kept, scale, True),
+    )
 
 
 def _placed(rows: _Constraints, x: Array, part: _Level, kept: NDArray[np.bool_], names: list[str]) -> Array:
@@ -141,6 +169,7 @@ class _Constraints:
         H, hessian = ca.vertcat(*component_energies(self.terms)), ca.hessian(d.hamiltonian, d.x)[0]
         exprs = (rows, jac, H, hessian, forces, ca.jacobian(H, d.x))
         self._functions = [ca.Function("f", symbols, [e]) for e in exprs]
+        self._rows = symbols, rows
         self._fixed = (p, t)
         #: rows x states, and states x states coupled by H'': what can be other than zero
         self.pattern, self.coupled = (np.array(ca.DM(e.sparsity(), 1).full(), bool) for e in (jac, hessian))
@@ -156,6 +185,11 @@ class _Constraints:
 
     def jacobian(self, x: Array) -> Array:
         return self._at(1, x)
+
+    def by_parameters(self, x: Array) -> Array:
+        """Rows x parameters."""
+        symbols, rows = self._rows
+        return ca.Function("f", symbols, [ca.jacobian(rows, symbols[1])])(x, *self._fixed).full()
 
     def energies(self, x: Array) -> Array:
         """H by component."""

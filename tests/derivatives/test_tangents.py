@@ -14,8 +14,9 @@ from phfmu.cli import main
 from phfmu.components.library import LIBRARY, build
 from phfmu.derivatives.sensitive import SensitiveSteps
 from phfmu.derivatives.tangents import By, Tangents
+from phfmu.discretise.start import project_start
 from phfmu.results.file import open_result
-from tests.derivatives.differences import worst
+from tests.derivatives.differences import richardson, worst
 from tests.wide import wide
 
 #: target, what it is derived by, steps, their length, events
@@ -103,11 +104,41 @@ def test_a_parameter_that_an_event_sets_counts_up_to_there() -> None:
 
 
 @pytest.mark.usefixtures("compiler")
-def test_a_start_on_its_constraints_moves_with_them() -> None:
-    """The currents at the node of smib depend on the line's inductance: the start is that of --project."""
-    options = Options(stop=0.02, step=1e-3, project=True, events=(Event(0.01, "gen.shaft.torque", 2e6),))
-    errors = worst(build("smib").declaration(), ["line.L", "gen.Ld"], options, 2)
+@pytest.mark.parametrize(
+    ("name", "by"), [("smib", ["line.L", "gen.Ld"]), ("pendulum", ["bar.length", "m[1]"]), ("four_particle", ["q[1]"])]
+)
+def test_a_start_on_its_constraints_moves_with_them(name: str, by: list[str]) -> None:
+    """Currents at the node of smib depend on the line's inductance, the bob hangs on its bar: starts are those of --project."""
+    events = (Event(0.01, "gen.shaft.torque", 2e6),) if name == "smib" else ()
+    errors = worst(declared(name), by, Options(stop=0.02, step=1e-3, project=True, events=events), 2, part=1e-4)
     assert {k: e for k, e in errors.items() if e > 1e-6} == {}
+
+
+@pytest.mark.parametrize("moved", [False, True])
+def test_tangents_of_a_projected_start(moved: bool) -> None:
+    """Against differences of projections, also of a start that the projection has moved."""
+    model = build_model(declared("pendulum"))
+    names = [n for v in model.declaration.parameters for n in v.names()]
+    by = By.of(model.declaration, ["bar.length", "q[1]"])
+    given = model.x0 + (np.array([0.03, 0.01, 0.2, 0.0]) if moved else 0.0)
+    start = project_start(model, given).x if moved else given
+    tangents = Tangents(model, by)
+    instance = PythonInstance(model)
+    instance.set_x(0.0, start)
+    instance.initialise()
+    found = tangents.at_start(0.0, given, start, model.u0, model.p0, instance.signal("a_end"))["x"][0]
+    p, i = model.p0, names.index("bar.length")
+
+    def by_length(length: float) -> np.ndarray:
+        own = p.copy()
+        own[i] = length
+        return project_start(model, given, p=own).x
+
+    def by_place(q: float) -> np.ndarray:
+        return project_start(model, np.array([q, *given[1:]])).x
+
+    assert np.abs(found[:, 0] - richardson(by_length, p[i], 1e-3)).max() < 1e-9
+    assert np.abs(found[:, 1] - richardson(by_place, given[0], 1e-3)).max() < 1e-9
 
 
 def test_units_and_names() -> None:
