@@ -12,8 +12,12 @@ if TYPE_CHECKING:
 
 def names_of(args: argparse.Namespace) -> list[str]:
     """What is derived by; none without the option."""
-    text = getattr(args, "sensitivity", None)
-    return [n.strip() for n in text.split(",") if n.strip()] if text else []
+    return listed(getattr(args, "sensitivity", None) or "")
+
+
+def listed(text: str) -> list[str]:
+    """Items between commas."""
+    return [n.strip() for n in text.split(",") if n.strip()]
 
 
 def require_equal_steps(args: argparse.Namespace, engine: str) -> None:

@@ -21,7 +21,7 @@ from phfmu.network.members.columns import Columns
 from phfmu.runs.loop import run
 from phfmu.runs.options import Options
 from phfmu.signals import derivative_name
-from phfmu.sweeps.measures import Measure, measures
+from phfmu.sweeps.measures import Measure, mean, measures
 
 Array = NDArray[np.float64]
 
@@ -67,13 +67,9 @@ def _slope(m: Measure, found: Any, name: str) -> float:
     return SLOPES[m.kind](found.time, v, d)
 
 
-def _mean(t: Array, v: Array) -> float:
-    return float(np.trapezoid(v, t) / (t[-1] - t[0]))
-
-
 def _of_rms(t: Array, v: Array, d: Array) -> float:
-    size = np.sqrt(_mean(t, v * v))
-    return _mean(t, v * d) / size if size else 0.0
+    size = np.sqrt(mean(t, v * v))
+    return mean(t, v * d) / size if size else 0.0
 
 
 def _of_peak(_: Array, v: Array, d: Array) -> float:
@@ -88,6 +84,6 @@ SLOPES: dict[str, Callable[[Array, Array, Array], float]] = {
     "min": lambda t, v, d: float(d[v.argmin()]),
     "max": lambda t, v, d: float(d[v.argmax()]),
     "peak": _of_peak,
-    "mean": lambda t, v, d: _mean(t, d),
+    "mean": lambda t, v, d: mean(t, d),
     "rms": _of_rms,
 }

@@ -24,7 +24,6 @@ from numpy.typing import NDArray
 
 from phfmu.derivatives.tangents import By, Taken, Tangents
 from phfmu.discretise.model import Model
-from phfmu.network.couplings.monolithic import Monolithic
 
 Array = NDArray[np.float64]
 
@@ -97,19 +96,10 @@ def step_matrix(model: Model, instance: Any, t: float, h: float, n: int = 1) -> 
     names = [name for v in model.declaration.states for name in v.names()]
     tangents = Tangents(model, By.of(model.declaration, names))
     tangents.S = np.eye(len(names))
-    before, u, plan = instance.x[: len(names)].copy(), instance.held_input, model.step
-    wanted = Monolithic(model, instance).wanted(instance)
-    r = instance.run(t, h, n, record=(*dict.fromkeys((*wanted, "unknowns")),))
-    if (r["counts"][:, 1] > 1).any():
-        raise ValueError(
-            f"{model.name}: a step from t = {t:g} s was taken in parts; take shorter steps than --step {h:g}"
-        )
-    layout = instance.layout
-    x, a_end = (r["signals"][:, layout[block]] for block in ("x", "a_end"))
-    given = np.tile(np.asarray(u, float), (n, plan.k))
-    states = np.vstack([before[None], x[:-1]])
+    before, u = instance.x[: len(names)].copy(), np.asarray(instance.held_input, np.float64)
+    r = instance.run(t, h, n, record=("signals", "unknowns", "counts"))
     starts = np.asarray(t + h * np.arange(n), np.float64)
-    tangents.over(Taken(starts, h, states, x, r["unknowns"], given, instance.parameters.copy(), a_end))
+    tangents.over(Taken.recorded(model, instance, r, starts, h, before, u))
     return tangents.S
 
 

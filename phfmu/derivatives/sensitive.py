@@ -153,21 +153,10 @@ class SensitiveSteps(Monolithic):
         self, instance: Any, r: dict[str, Array], t: Array, h: float, u: Array, inputs: Array | None
     ) -> Steps:
         """The record of steps from the times t, with the derivatives of their rows; `u`: inputs that are held throughout."""
-        plan, n = self.model.step, len(t)
-        if (divided := np.flatnonzero(r["counts"][:, 1] > 1)).size:
-            raise ValueError(
-                f"{self.model.name}: the step at t = {t[divided[0]]:.9g} s was taken in parts, of which derivatives know the "
-                f"last one only; take shorter steps than --step {h:g}"
-            )
-        given = np.broadcast_to(u, (n, plan.nu)) if inputs is None else np.asarray(inputs)
-        given = np.repeat(given[:, None], plan.k, axis=1) if given.ndim == 2 else given
-        layout = instance.layout
-        x, a_end = (r["signals"][:, layout[block]] for block in ("x", "a_end"))
         assert self._last is not None
-        before = np.vstack([self._last[None], x[:-1]])
-        steps = Taken(t, h, before, x, r["unknowns"], given.reshape(n, -1), instance.parameters.copy(), a_end)
+        steps = Taken.recorded(self.model, instance, r, t, h, self._last, u if inputs is None else np.asarray(inputs))
         rows = self._derived(self._tangents.over(steps))
-        self._last, self._row = x[-1].copy(), rows[-1]
+        self._last, self._row = steps.after[-1].copy(), rows[-1]
         found = self.steps_of(instance, r)
         return replace(found, signals=np.hstack([found.signals, rows]))
 

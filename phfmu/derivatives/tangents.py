@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -77,6 +78,25 @@ class Taken:
     u: Array
     p: Array
     a_end: Array
+
+    @staticmethod
+    def recorded(
+        model: Model, instance: Any, r: dict[str, Array], t: Array, h: float, before: Array, u: Array
+    ) -> Taken:
+        """Steps from the times t and the state `before` under inputs u (nu held, n x nu, or n x k x nu), of which `instance` has
+        recorded signals, unknowns and counts.  ValueError for one that was taken in parts.
+        """
+        if (divided := np.flatnonzero(r["counts"][:, 1] > 1)).size:
+            raise ValueError(
+                f"{model.name}: the step at t = {t[divided[0]]:.9g} s was taken in parts, of which derivatives know the last one "
+                f"only; take shorter steps than --step {h:g}"
+            )
+        n, layout = len(t), instance.layout
+        x, a_end = (r["signals"][:, layout[block]] for block in ("x", "a_end"))
+        given = np.broadcast_to(u, (n, model.step.nu)) if u.ndim == 1 else u
+        given = np.repeat(given[:, None], model.step.k, axis=1) if given.ndim == 2 else given
+        states = np.vstack([before[None], x[:-1]])
+        return Taken(t, h, states, x, r["unknowns"], given.reshape(n, -1), instance.parameters.copy(), a_end)
 
 
 #: steps of differences, of the size of what is moved: the error of the extrapolation and rounding are about 1e-11 there

@@ -15,7 +15,8 @@ from phfmu.words import meant
 Floats = NDArray[np.float64]
 
 
-def _mean(t: Floats, v: Floats) -> float:
+def mean(t: Floats, v: Floats) -> float:
+    """Over time, by the trapezoidal rule."""
     return float(np.trapezoid(v, t) / (t[-1] - t[0]))
 
 
@@ -26,8 +27,8 @@ NUMBERS: dict[str, Callable[[Floats, Floats], float]] = {
     "min": lambda t, v: float(v.min()),
     "max": lambda t, v: float(v.max()),
     "peak": lambda t, v: float(np.abs(v).max()),
-    "mean": _mean,
-    "rms": lambda t, v: float(np.sqrt(_mean(t, v * v))),
+    "mean": mean,
+    "rms": lambda t, v: float(np.sqrt(mean(t, v * v))),
     "tmin": lambda t, v: float(t[v.argmin()]),
     "tmax": lambda t, v: float(t[v.argmax()]),
 }

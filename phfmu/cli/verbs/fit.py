@@ -60,6 +60,7 @@ def call(args: argparse.Namespace) -> int:
     from phfmu.cli.job import with_given
     from phfmu.cli.options import scene_of, scheme_of
     from phfmu.cli.progress import Line
+    from phfmu.cli.sensitivity import listed
     from phfmu.cli.stepping import engine_of, instance_of
     from phfmu.derivatives.fit import fit
     from phfmu.discretise.model import build_model
@@ -82,7 +83,7 @@ def call(args: argparse.Namespace) -> int:
                 line(f"run {runs}: residual {residual:.4g}")
 
         found = fit(
-            model, instance, experiments, _names(args.free), _names(args.measure),
+            model, instance, experiments, listed(args.free), listed(args.measure),
             weights=_numbers(args.weight, "--weight"), bounds=_bounds(args.bounds), tries=args.tries, loss=args.loss,
             progress=progress,
         )  # fmt: skip
@@ -95,10 +96,6 @@ def call(args: argparse.Namespace) -> int:
 
         draw_fit(found, args.plot)
     return FINE
-
-
-def _names(text: str) -> list[str]:
-    return [n.strip() for n in text.split(",") if n.strip()]
 
 
 def _numbers(items: list[str], option: str) -> dict[str, float]:
@@ -131,6 +128,7 @@ def _bounds(items: list[str]) -> dict[str, tuple[float, float]]:
 def _experiments(args: argparse.Namespace, scene: Scene, known: list[str]) -> list[Experiment]:
     from math import ceil
 
+    from phfmu.cli.sensitivity import listed
     from phfmu.cli.settings import settings
     from phfmu.cli.timeline import timeline
     from phfmu.derivatives.fit import Experiment
@@ -145,7 +143,7 @@ def _experiments(args: argparse.Namespace, scene: Scene, known: list[str]) -> li
         data = open_result(path)
         stop = args.stop if args.stop is not None else step * max(1, ceil(float(data.time[-1]) / step - 1e-9))
         own = Options(stop=stop, step=step, events=[e for e in events if e.t < stop], project=args.project)
-        found.append(Experiment(text, data, own, settings(_names(given)), inputs, args.interpolate))
+        found.append(Experiment(text, data, own, settings(listed(given)), inputs, args.interpolate))
     return found
 
 
