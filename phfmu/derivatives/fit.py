@@ -146,8 +146,7 @@ class _Problem:
         self._weights = self._sizes(weights)
         self._known: tuple[bytes, Array, Array] | None = None
         self.runs, self._between, self._why = 0, 0, ""
-        names = [c for m in self.measure for c in (m, *(derivative_name(m, n) for n in self.free))]
-        self._options = [replace(e.options, signals=names, audited=False) for e in experiments]
+        self._options = [replace(e.options, signals=self.stepper.columns, audited=False) for e in experiments]
 
     def _sizes(self, given: Mapping[str, float]) -> dict[str, float]:
         found = {}

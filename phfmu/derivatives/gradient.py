@@ -55,8 +55,7 @@ def gradient(
     signals = list(dict.fromkeys(m.signal for m in wanted))
     stepper = SensitiveSteps(model, instance, by, signals)
     names = stepper.by.names
-    kept = [*signals, *(derivative_name(s, n) for s in signals for n in names)]
-    found = run(stepper, replace(options, signals=kept, every=None), inputs=inputs)
+    found = run(stepper, replace(options, signals=stepper.columns, every=None), inputs=inputs)
     values = np.array([m.of(found.time, found.column(m.signal)) for m in wanted])
     slopes = np.array([[_slope(m, found, n) for n in names] for m in wanted]).reshape(len(wanted), len(names))
     return Gradient(tuple(map(str, wanted)), names, values, slopes)

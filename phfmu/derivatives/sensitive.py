@@ -42,6 +42,11 @@ class SensitiveSteps(Monolithic):
         #: states that the start was given, before a projection
         self._given = instance.x[: model.step.nx].copy()
 
+    @property
+    def columns(self) -> list[str]:
+        """Names of the signals that are derived, each followed by its derivatives."""
+        return [c for q in self.derived for c in (q.name, *(derivative_name(q.name, n) for n in self.by.names))]
+
     def begin(self, values: Mapping[str, float]) -> None:
         """Back to the start, with other parameters, start values or held inputs, by scalar name."""
         i, d = self.instance, self.model.declaration
