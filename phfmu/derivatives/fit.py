@@ -28,6 +28,8 @@ from phfmu.runs.options import Options
 from phfmu.signals import derivative_name
 
 Array = NDArray[np.float64]
+#: of each measured signal: times, name, data, the run's values there, and their derivatives
+Curves = list[tuple[Array, str, Array, Array, Array]]
 
 #: singular values below this part of the largest: the data do not tell these directions
 UNTOLD = 1e-7
@@ -144,7 +146,7 @@ class _Problem:
             [abs(x) or nominal.get(n, 0.0) or 1.0 for n, x in zip(self.free, self.start, strict=True)]
         )
         self._weights = self._sizes(weights)
-        self._known: tuple[bytes, Array, Array] | None = None
+        self._known: tuple[bytes, list[Curves]] | None = None
         self.runs, self._between, self._why = 0, 0, ""
         self._options = [replace(e.options, signals=self.stepper.columns, audited=False) for e in experiments]
 
@@ -205,22 +207,19 @@ class _Problem:
         )  # fmt: skip
 
     def _at(self, theta: Array) -> tuple[Array, Array]:
-        """Weighted residuals (m) and their Jacobian (m x free)."""
+        """Weighted residuals (m) and their Jacobian (m x free); not finite where an experiment cannot be run."""
+        curves = [c for own in self._all(theta) for c in own]
+        rows = [(model - data) / self._weights[m] for _, m, data, model, _ in curves]
+        return np.concatenate(rows), np.vstack([slope / self._weights[m] for _, m, _, _, slope in curves])
+
+    def _all(self, theta: Array) -> list[Curves]:
+        """The curves of every experiment; those asked for last are not run again."""
         key = theta.tobytes()
         if self._known is None or self._known[0] != key:
-            rows, slopes = zip(*(self._of(i, theta) for i in range(len(self.experiments))), strict=True)
-            self._known = key, np.concatenate(rows), np.vstack(slopes)
-        return self._known[1], self._known[2]
+            self._known = key, [self._curves(i, theta) for i in range(len(self.experiments))]
+        return self._known[1]
 
-    def _of(self, i: int, theta: Array) -> tuple[Array, Array]:
-        """Those of one experiment; not finite where it cannot be run."""
-        rows, slopes = [], []
-        for _, m, data, model, slope in self._curves(i, theta):
-            rows.append((model - data) / self._weights[m])
-            slopes.append(slope / self._weights[m])
-        return np.concatenate(rows), np.vstack(slopes)
-
-    def _curves(self, i: int, theta: Array) -> list[tuple[Array, str, Array, Array, Array]]:
+    def _curves(self, i: int, theta: Array) -> Curves:
         """Of each measured signal: times, data, the run's values there, and their derivatives."""
         e, s = self.experiments[i], self.stepper
         values = dict(e.values) | dict(zip(self.free, theta.tolist(), strict=True))
@@ -250,8 +249,8 @@ class _Problem:
         """What was found, from SciPy's result."""
         theta, names = best.x, self.free
         curves, by_signal = [], dict[str, list[Array]]()
-        for i, e in enumerate(self.experiments):
-            for t, m, data, values, _ in self._curves(i, theta):
+        for e, own in zip(self.experiments, self._all(theta), strict=True):
+            for t, m, data, values, _ in own:
                 curves.append((e.name, m, t, data, values))
                 by_signal.setdefault(m, []).append(values - data)
         J = np.asarray(best.jac) * self.scale
