@@ -72,8 +72,9 @@ static void eliminate(ph_lu *lu, int j, const double *a) {
     }
 }
 
-/* Pivot row among the candidates index[lower[j]..end), or -1. */
-static int choose(const ph_lu *lu, int j, int end, const double *a) {
+/* Pivot row among the candidates index[lower[j]..end), or -1. A column that depends on those before it gets
+ * `forced` of its size as pivot, where that is above zero. */
+static int choose(ph_lu *lu, int j, int end, const double *a) {
     const double *x = lu->work;
     int best = -1, prefer = lu->prefer[j], column = lu->order[j];
     double most = 0.0, original = 0.0;
@@ -87,8 +88,16 @@ static int choose(const ph_lu *lu, int j, int end, const double *a) {
             best = lu->index[q];
         }
     }
-    if (best < 0 || !isfinite(most) || most <= PH_DEPENDENT * DBL_EPSILON * original)
+    if (best < 0 && lu->forced > 0.0 && lu->lower[j] < end)
+        best = lu->index[lu->lower[j]];
+    if (best < 0 || !isfinite(most))
         return -1;
+    if (most <= PH_DEPENDENT * DBL_EPSILON * original) {
+        if (!(lu->forced > 0.0))
+            return -1;
+        lu->work[best] = lu->forced * original;
+        return best;
+    }
     if (prefer >= 0 && lu->where[prefer] < 0 && lu->mark[prefer] == j && fabs(x[prefer]) >= PREFER * most)
         best = prefer;
     return best;
@@ -228,6 +237,17 @@ int ph_lu_factor(ph_lu *lu, const double *a, long long *count) {
     }
     count[PH_PIVOTED]++;
     return search(lu, a);
+}
+
+/* Factors where a column that depends on others gets `forced` of its size as pivot; the next ones search
+ * again. */
+int ph_lu_forced(ph_lu *lu, const double *a, double forced) {
+    int status;
+    lu->forced = forced;
+    status = ph_lu_full(lu, a);
+    lu->forced = 0.0;
+    lu->known = lu->ready = 0;
+    return status;
 }
 
 /* Takes over pivot rows (n, pivot[0] = -1: none) and rebuilds their pattern if they are new. */

@@ -5,6 +5,10 @@
 #include "master.h"
 #include "system.h"
 
+/* Pivot of a direction that the rows do not determine just here, as of the chord of a straight chain of rigid
+ * links: in the factors only, so that the rows are met all the same or the trial is refused. */
+#define PH_FORCED 1e-8
+
 size_t ph_master_lu_size(int n, int nnz, int capacity) {
     ph_lu lu = {.n = n, .nnz = nnz, .capacity = capacity};
     ph_pool counted = {NULL, 0};
@@ -87,6 +91,8 @@ int ph_matrix_factor(ph_master *m) {
         return PH_NOT_FINITE;
     ph_lap(m->clock, PH_SOLVING);
     status = ph_lu_factor(m->lu, m->scaled, count);
+    if (status == PH_SINGULAR) /* rows depend on each other just here: a pivot of its own leads past it */
+        status = ph_lu_forced(m->lu, m->scaled, PH_FORCED);
     ph_lap(m->clock, PH_JOINING);
     return status;
 }
