@@ -41,6 +41,7 @@ PH_API ph_lu *lu_new(int n, int nnz, int capacity, const int *colptr, const int 
     return lu;
 }
 PH_API int lu_factor(ph_lu *lu, const double *a, long long *count) { return ph_lu_factor(lu, a, count); }
+PH_API int lu_forced(ph_lu *lu, const double *a, double forced) { return ph_lu_forced(lu, a, forced); }
 PH_API int lu_refactor(ph_lu *lu, const double *a) { return ph_lu_refactor(lu, a); }
 PH_API int lu_adopt(ph_lu *lu, const int *pivot) { return ph_lu_adopt(lu, pivot); }
 PH_API void lu_forget(ph_lu *lu) { lu->ready = lu->filled = 0; lu->stack[0] = -7; }
@@ -217,6 +218,28 @@ def test_singular(lib: ctypes.CDLL, a: list[list[float]]) -> None:
     good.data = np.array([1.0, 2.0, 3.0, 4.0])
     assert lu.factor(good) is Status.OK
     assert np.allclose(good @ lu.solve(np.ones(2)), 1.0)
+
+
+@pytest.mark.parametrize(
+    ("a", "status"),
+    [
+        ([[0.1, 0.3], [0.3, 0.9]], Status.OK),
+        ([[1.0, 2.0], [2.0, 4.0]], Status.SINGULAR),
+        ([[1.0, 0.0], [1.0, 0.0]], Status.SINGULAR),
+    ],
+)
+def test_forced_pivots_meet_rows_that_agree(lib: ctypes.CDLL, a: list[list[float]], status: Status) -> None:
+    """A column of which rounding is left gets a pivot, one of which nothing is left gets none; the next factors
+    have their own."""
+    full = csc_matrix((np.array(a).T.ravel(), np.array([0, 1, 0, 1]), np.array([0, 2, 4])), shape=(2, 2))
+    lu = LU(lib, full)
+    assert lu.factor(full) is Status.SINGULAR
+    data = ctypes.c_void_p(full.data.ctypes.data)
+    assert list(Status)[lib.lu_forced(lu.p, data, ctypes.c_double(1e-8))] is status
+    if status is Status.OK:
+        b = full @ np.array([3.0, -1.0])
+        assert np.allclose(full @ lu.solve(b), b, rtol=0, atol=1e-7)
+    assert lu.factor(full) is Status.SINGULAR
 
 
 @pytest.mark.slow

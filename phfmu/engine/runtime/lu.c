@@ -72,9 +72,9 @@ static void eliminate(ph_lu *lu, int j, const double *a) {
     }
 }
 
-/* Pivot row among the candidates index[lower[j]..end), or -1. A column that depends on those before it gets
- * `forced` of its size as pivot, where that is above zero. */
-static int choose(ph_lu *lu, int j, int end, const double *a) {
+/* Pivot row among the candidates index[lower[j]..end), or -1. A column that depends on those before it to
+ * rounding gets `forced` of its size as pivot, if that is above zero; one of which nothing is left never. */
+static int choose(ph_lu *lu, int j, int end, const double *a, double forced) {
     const double *x = lu->work;
     int best = -1, prefer = lu->prefer[j], column = lu->order[j];
     double most = 0.0, original = 0.0;
@@ -88,14 +88,12 @@ static int choose(ph_lu *lu, int j, int end, const double *a) {
             best = lu->index[q];
         }
     }
-    if (best < 0 && lu->forced > 0.0 && lu->lower[j] < end)
-        best = lu->index[lu->lower[j]];
     if (best < 0 || !isfinite(most))
         return -1;
     if (most <= PH_DEPENDENT * DBL_EPSILON * original) {
-        if (!(lu->forced > 0.0))
+        if (!(forced > 0.0))
             return -1;
-        lu->work[best] = lu->forced * original;
+        lu->work[best] = forced * original;
         return best;
     }
     if (prefer >= 0 && lu->where[prefer] < 0 && lu->mark[prefer] == j && fabs(x[prefer]) >= PREFER * most)
@@ -104,7 +102,7 @@ static int choose(ph_lu *lu, int j, int end, const double *a) {
 }
 
 /* Columns of the factors from the first to the last; a = NULL: pattern only, for the pivots given. */
-int ph_lu_full(ph_lu *lu, const double *a) {
+static int full(ph_lu *lu, const double *a, double forced) {
     int n = lu->n, q = 0;
     lu->known = lu->ready = lu->filled = 0;
     memset(lu->work, 0, sizeof(double) * (size_t)n);
@@ -124,7 +122,7 @@ int ph_lu_full(ph_lu *lu, const double *a) {
                 lu->index[q++] = lu->stack[i];
         if (a)
             eliminate(lu, j, a);
-        row = a ? choose(lu, j, q, a) : lu->pivot[j];
+        row = a ? choose(lu, j, q, a, forced) : lu->pivot[j];
         for (at = lu->lower[j]; at < q && lu->index[at] != row; at++) {
         }
         lu->failed = lu->order[j];
@@ -218,11 +216,11 @@ int ph_lu_refactor(ph_lu *lu, const double *a) {
     return repeat(lu, a, 0);
 }
 
-/* A search for pivots, to the last bit that of ph_lu_full. It mostly finds those of the last factors, which
+/* A search for pivots, to the last bit that of `full`. It mostly finds those of the last factors, which
  * is seen at a fraction of the cost on the way through their pattern. */
 static int search(ph_lu *lu, const double *a) {
     if (!lu->known || repeat(lu, a, 1))
-        return ph_lu_full(lu, a);
+        return full(lu, a, 0.0);
     lu->ready = 1;
     return PH_OK;
 }
@@ -239,13 +237,10 @@ int ph_lu_factor(ph_lu *lu, const double *a, long long *count) {
     return search(lu, a);
 }
 
-/* Factors where a column that depends on others gets `forced` of its size as pivot; the next ones search
- * again. */
+/* Factors where a column that depends on others to rounding gets `forced` of its size as pivot; the next
+ * search again. */
 int ph_lu_forced(ph_lu *lu, const double *a, double forced) {
-    int status;
-    lu->forced = forced;
-    status = ph_lu_full(lu, a);
-    lu->forced = 0.0;
+    const int status = full(lu, a, forced);
     lu->known = lu->ready = 0;
     return status;
 }
@@ -261,7 +256,7 @@ int ph_lu_adopt(ph_lu *lu, const int *pivot) {
     if (lu->ready && memcmp(pivot, lu->pivot, sizeof(int) * (size_t)lu->n) == 0)
         return PH_OK;
     memcpy(lu->pivot, pivot, sizeof(int) * (size_t)lu->n);
-    return ph_lu_full(lu, NULL);
+    return full(lu, NULL, 0.0);
 }
 
 /* x = A^-1 b with the last factor; b and x: n, may not overlap. */

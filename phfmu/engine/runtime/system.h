@@ -19,17 +19,15 @@ typedef struct ph_lu {
     int *place;         /* nnz: where[rowind] */
     double *work;       /* n, zero between calls */
     int *mark, *stack, *child;
-    double forced; /* pivot of a column that depends on others, part of its size; 0: there is none */
-    int failed;    /* column without a pivot */
-    int known;     /* pivots and their pattern are those of the last factors */
-    int ready;     /* and the next factors are to have them too */
-    int filled;    /* the numbers are valid */
+    int failed; /* column without a pivot */
+    int known;  /* pivots and their pattern are those of the last factors */
+    int ready;  /* and the next factors are to have them too */
+    int filled; /* the numbers are valid */
 } ph_lu;
 
 /* Its arrays, from sizes n, nnz and capacity. */
 void ph_lu_take(ph_lu *lu, ph_pool *pool);
 int ph_lu_factor(ph_lu *lu, const double *a, long long *count);
-int ph_lu_full(ph_lu *lu, const double *a);
 int ph_lu_forced(ph_lu *lu, const double *a, double forced);
 int ph_lu_refactor(ph_lu *lu, const double *a);
 int ph_lu_adopt(ph_lu *lu, const int *pivot);

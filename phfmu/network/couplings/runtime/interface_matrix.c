@@ -5,8 +5,9 @@
 #include "master.h"
 #include "system.h"
 
-/* Pivot of a direction that the rows do not determine just here, as of the chord of a straight chain of rigid
- * links: in the factors only, so that the rows are met all the same or the trial is refused. */
+/* Pivot of a direction of which the rows have no more than rounding just here, as of the chord of a straight
+ * chain of rigid links: in the factors only, so that the rows are met all the same or the trial is refused.
+ */
 #define PH_FORCED 1e-8
 
 size_t ph_master_lu_size(int n, int nnz, int capacity) {
@@ -66,7 +67,10 @@ int ph_matrix_take(ph_master *m) {
     }
     for (int b = 0; b < nb; b++)
         m->a[m->own_entry[b]] = 1.0;
-    return ph_matrix_factor(m);
+    status = ph_matrix_factor(m);
+    if (status == PH_SINGULAR) /* rows depend on each other just here: a pivot of its own leads past it */
+        status = ph_lu_forced(m->lu, m->scaled, PH_FORCED);
+    return status;
 }
 
 int ph_matrix_plain(ph_master *m) {
@@ -91,8 +95,6 @@ int ph_matrix_factor(ph_master *m) {
         return PH_NOT_FINITE;
     ph_lap(m->clock, PH_SOLVING);
     status = ph_lu_factor(m->lu, m->scaled, count);
-    if (status == PH_SINGULAR) /* rows depend on each other just here: a pivot of its own leads past it */
-        status = ph_lu_forced(m->lu, m->scaled, PH_FORCED);
     ph_lap(m->clock, PH_JOINING);
     return status;
 }
