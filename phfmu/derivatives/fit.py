@@ -57,7 +57,7 @@ class Fit:
     correlation (n x n): of the estimates;  undetermined: directions that the data do not tell, as name -> share
     iterations, runs: of the least squares;  message: why they ended
     misfit: signal -> lag-one correlation of residuals, where it is more than noise has
-    curves: per experiment and signal times, data and model
+    curves: per experiment and signal times, data and model;  units: of the signals
     """
 
     values: dict[str, float]
@@ -74,6 +74,7 @@ class Fit:
     curves: tuple[tuple[str, str, Array, Array, Array], ...]
     between: int
     free: tuple[str, ...]
+    units: dict[str, str]
 
 
 def fit(
@@ -269,6 +270,7 @@ class _Problem:
             dict(zip(names, theta.tolist(), strict=True)), dict(zip(names, errors.tolist(), strict=True)),
             _rms(best.fun), residuals, correlation, tuple(_shares(v, names) for v in V[~told]), sizes, int(best.nfev),
             self.runs, str(best.message), _correlated(by_signal), tuple(curves), self._between, names,
+            {m: u for m, u in self.stepper.units.items() if m in residuals},
         )  # fmt: skip
 
 

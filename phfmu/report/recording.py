@@ -17,7 +17,8 @@ class Signal:
     `topic`: signals of one topic share an axis; without one those of a unit do. `log`: drawn as magnitude on a log axis.
     `kind`: what it is (`phfmu.signals.SignalKind`), "" where nothing tells.
     `label`: what readers call it, "" for its name.
-    `limit`: the limit of another signal. `owner` counts what signals belong to, for colours that are the same on all axes.
+    `limit`: the limit of another signal. `points`: drawn as points.
+    `owner` counts what signals belong to, for colours that are the same on all axes.
     """
 
     name: str
@@ -30,6 +31,7 @@ class Signal:
     owner: int | None = None
     kind: str = ""
     label: str = ""
+    points: bool = False
 
 
 @dataclass(frozen=True)

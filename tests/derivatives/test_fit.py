@@ -104,12 +104,19 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     data, out = measured(7).save(tmp_path / "data.csv"), tmp_path / "fit.json"
     words = ["--set", "terminal.v=12", "--order", "4", "--step", str(STEP)]
     free = ["--free", "L,R", "--measure", "terminal.i", "--set", "R=0.5"]
-    assert main(["fit", "dc_motor", str(data), *free, *words, "-o", str(out), "--plot", str(tmp_path / "f.png")]) == 0
+    for ending in ("html", "png"):
+        assert (
+            main(["fit", "dc_motor", str(data), *free, *words, "-o", str(out), "--plot", str(tmp_path / f"f.{ending}")])
+            == 0
+        )
     told = capsys.readouterr().out
     found = json.loads(out.read_text())
     assert {"values", "errors", "residual", "iterations"} <= set(found) and "standard error" in told
     assert found["values"]["R"] == pytest.approx(0.4, rel=0.05) and (tmp_path / "f.png").stat().st_size > 5000
     assert main(["run", "dc_motor", *words, "--set", f"@{out}", "--stop", "0.01", "--quiet"]) == 0
+    assert (tmp_path / "f.html").read_text().count('"mode":"markers"') == 2  # measurements, residuals
+    assert main(["fit", "dc_motor", str(data), *free, *words[:2], "--set", "L=-1"]) == 2
+    assert "refused for its values" in capsys.readouterr().err
     assert main(["run", "dc_motor", *words, "--set", f"@{data}", "--stop", "0.01"]) == 2
     assert "expected a file of phfmu fit" in capsys.readouterr().err
     assert main(["fit", "dc_motor", str(data), "--free", "R", "--measure", "terminal.x", *words]) == 2

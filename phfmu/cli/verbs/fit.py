@@ -8,16 +8,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from phfmu.cli.one_model import OneModel
     from phfmu.derivatives.fit import Experiment, Fit
-    from phfmu.network.scene import Scene
 
 LOSSES = ("linear", "soft_l1", "huber", "cauchy", "arctan")
 
 
 def add_parser(verbs: Any) -> None:
-    from phfmu.cli import options, stepping
     from phfmu.cli.codes import TARGET
-    from phfmu.cli.settings import add_settings
+    from phfmu.cli.one_model import add_one_model
     from phfmu.network.members.interpolations import INTERPOLATIONS
 
     parser = verbs.add_parser("fit", help="parameters from measurements, by least squares with exact derivatives")
@@ -38,16 +37,10 @@ def add_parser(verbs: Any) -> None:
                         help="begin N times, also at values around those given, and keep the best")  # fmt: skip
     parser.add_argument("--loss", default="linear", choices=LOSSES, help="how residuals count (default: their squares)")
     parser.add_argument("--stop", type=float, help="stop time in s (default: after the last measurement)")
-    parser.add_argument("--step", type=float, help="communication step in s (default: the scene's)")
-    options.add_scheme(parser)
-    stepping.add_engine(parser, stepping.ENGINES[:3])
-    add_settings(parser)
-    options.add_lenient(parser)
-    options.add_grid(parser)
+    add_one_model(parser)
     parser.add_argument("--input", metavar="FILE", help="input values over time, as of phfmu run")
     parser.add_argument("--interpolate", default="held", choices=tuple(INTERPOLATIONS), help="as of phfmu run")
-    parser.add_argument("--project", action="store_true", help="move an inconsistent start onto its constraints")
-    parser.add_argument("--plot", metavar="FILE", help="picture of data, fit and residuals, X.png")
+    parser.add_argument("--plot", metavar="FILE", help="picture of data, fit and residuals, X.png or X.html")
     parser.add_argument(
         "-o", "--output", metavar="FILE", help="what was found, X.json; phfmu run --set @X.json takes it"
     )
@@ -57,24 +50,21 @@ def add_parser(verbs: Any) -> None:
 
 def call(args: argparse.Namespace) -> int:
     from phfmu.cli.codes import FINE
-    from phfmu.cli.job import with_given
-    from phfmu.cli.options import scene_of, scheme_of
+    from phfmu.cli.one_model import one_model
     from phfmu.cli.progress import Line
     from phfmu.cli.sensitivity import listed
-    from phfmu.cli.stepping import engine_of, instance_of
     from phfmu.derivatives.fit import fit
-    from phfmu.discretise.model import build_model
     from phfmu.interrupt import Signals
 
-    for path, endings in ((args.output, (".json",)), (args.plot, (".png",))):
-        if path and not path.endswith(endings):
-            raise ValueError(f"{path}: its name ends with {' or '.join(endings)}")
-    scene = with_given(args, scene_of(args))
-    declaration = scene.declaration()
-    model = build_model(declaration, scheme_of(args, declaration))
-    experiments = _experiments(args, scene, declaration.settable_names())
-    steps = max(e.options.stop / e.options.step for e in experiments)
-    instance = instance_of(model, engine_of(args.engine), "auto", 100.0 * steps)
+    if args.output and not args.output.endswith(".json"):
+        raise ValueError(f"-o {args.output}: its name ends with .json")
+    if args.plot:
+        from phfmu.report.picture.draw import check_picture
+
+        check_picture(args.plot, "--plot")
+    one = one_model(args)
+    experiments = _experiments(args, one)
+    instance = one.instance(100.0 * max(e.options.stop / e.options.step for e in experiments))
     with Signals() as signals, Line() as line:
 
         def progress(runs: int, residual: float) -> None:
@@ -83,7 +73,7 @@ def call(args: argparse.Namespace) -> int:
                 line(f"run {runs}: residual {residual:.4g}")
 
         found = fit(
-            model, instance, experiments, listed(args.free), listed(args.measure),
+            one.model, instance, experiments, listed(args.free), listed(args.measure),
             weights=_numbers(args.weight, "--weight"), bounds=_bounds(args.bounds), tries=args.tries, loss=args.loss,
             progress=progress,
         )  # fmt: skip
@@ -92,9 +82,10 @@ def call(args: argparse.Namespace) -> int:
     if args.output:
         Path(args.output).write_text(json.dumps(as_json(found), indent=2) + "\n")
     if args.plot:
-        from phfmu.derivatives.fit_picture import draw_fit
+        from phfmu.derivatives.fit_picture import picture_of
+        from phfmu.report.picture.draw import draw
 
-        draw_fit(found, args.plot)
+        draw(picture_of(found), args.plot)
     return FINE
 
 
@@ -125,7 +116,7 @@ def _bounds(items: list[str]) -> dict[str, tuple[float, float]]:
     return found
 
 
-def _experiments(args: argparse.Namespace, scene: Scene, known: list[str]) -> list[Experiment]:
+def _experiments(args: argparse.Namespace, one: OneModel) -> list[Experiment]:
     from math import ceil
 
     from phfmu.cli.sensitivity import listed
@@ -135,8 +126,8 @@ def _experiments(args: argparse.Namespace, scene: Scene, known: list[str]) -> li
     from phfmu.results.file import open_result
     from phfmu.runs.options import Options
 
-    step = scene.step if args.step is None else args.step
-    events, inputs, _ = timeline(args, scene, known)
+    step = one.step
+    events, inputs, _ = timeline(args, one.scene, one.model.declaration.settable_names())
     found = []
     for text in [args.data, *args.experiment]:
         path, _, given = text.partition(":") if text is not args.data else (text, "", "")

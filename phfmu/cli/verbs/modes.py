@@ -18,22 +18,15 @@ ROUNDING = 1e-11
 
 
 def add_parser(verbs: Any) -> None:
-    from phfmu.cli import options, stepping
     from phfmu.cli.codes import TARGET
-    from phfmu.cli.settings import add_settings
+    from phfmu.cli.one_model import add_one_model
 
     parser = verbs.add_parser("modes", help="eigenvalues at a time: frequency, damping, states that take part")
     parser.add_argument("target", help=TARGET)
     parser.add_argument("--at", type=float, default=0.0, metavar="T", help="time of the run in s (default 0)")
     parser.add_argument("--period", type=float, metavar="P",
                         help="of the motion in s, 0.02 of a grid in phase quantities: modes of one period from T on")  # fmt: skip
-    parser.add_argument("--step", type=float, help="step in s (default: the scene's)")
-    options.add_scheme(parser)
-    stepping.add_engine(parser, stepping.ENGINES[:3])
-    add_settings(parser)
-    options.add_lenient(parser)
-    options.add_grid(parser)
-    parser.add_argument("--project", action="store_true", help="move an inconsistent start onto its constraints")
+    add_one_model(parser)
     parser.add_argument("--all", action="store_true", help=f"all modes, not the {MOST} that decay most slowly")
     parser.add_argument("-o", "--output", metavar="FILE", help="the modes as X.json")
     parser.set_defaults(call=call)
@@ -41,14 +34,11 @@ def add_parser(verbs: Any) -> None:
 
 def call(args: argparse.Namespace) -> int:
     from phfmu.cli.codes import FINE
-    from phfmu.cli.job import with_given
-    from phfmu.cli.options import scene_of, scheme_of
+    from phfmu.cli.one_model import one_model
     from phfmu.cli.settings import settings
-    from phfmu.cli.stepping import engine_of, instance_of
     from phfmu.cli.timeline import started
     from phfmu.derivatives.modes import modes_at
     from phfmu.derivatives.tangents import require_smooth
-    from phfmu.discretise.model import build_model
     from phfmu.network.couplings.monolithic import Monolithic
     from phfmu.runs.loop import run
     from phfmu.runs.options import Options
@@ -57,14 +47,11 @@ def call(args: argparse.Namespace) -> int:
         raise ValueError(f"-o {args.output}: its name ends with .json")
     if not args.at >= 0:
         raise ValueError(f"--at {args.at:g} s must not be negative")
-    scene = with_given(args, scene_of(args))
-    declaration = scene.declaration()
-    model = build_model(declaration, scheme_of(args, declaration))
-    require_smooth(model)
-    step = scene.step if args.step is None else args.step
-    instance = instance_of(model, engine_of(args.engine), "auto", args.at / step + 1.0)
-    stepper = Monolithic(model, instance)
-    events, _ = started(scene.events, settings(args.set), stepper.settable())
+    one = one_model(args)
+    require_smooth(one.model)
+    step, instance = one.step, one.instance(args.at / one.step + 1.0)
+    stepper = Monolithic(one.model, instance)
+    events, _ = started(one.scene.events, settings(args.set), stepper.settable())
     until = [e for e in events if e.t <= args.at]
     if args.at > 0:
         run(stepper, Options(stop=args.at, step=step, events=until, project=args.project, audited=False))
@@ -74,7 +61,7 @@ def call(args: argparse.Namespace) -> int:
         if args.project:
             stepper.project_start(0.0)
         stepper.check_start()
-    found = modes_at(model, instance, args.at, step, args.period)
+    found = modes_at(one.model, instance, args.at, step, args.period)
     print("\n".join(_lines(args, found)))
     if args.output:
         Path(args.output).write_text(json.dumps(as_json(found), indent=2) + "\n")

@@ -146,7 +146,7 @@ def _lean(panel: Panel, curves: Sequence[Curve], columns: int = COLUMNS) -> tupl
     found = list[Curve]()
     for c in curves:
         time, values = c.time, c.values
-        for coarse in () if panel.log else COARSER:
+        for coarse in () if panel.log or c.points else COARSER:
             if coarse == 1 or len(time) > PER_COLUMN * columns:
                 time, values = lean(time, values, size * coarse)
         time, values = thin(time, values, columns)
@@ -227,6 +227,8 @@ def _style(curve: Curve, log: bool = False) -> dict[str, Any]:
     if curve.limit:
         return {"mode": "lines", "name": name, "showlegend": False, "opacity": 0.8,
                 "line": {"color": colour, "dash": "dash", "width": 1}}  # fmt: skip
+    if curve.points:
+        return {"mode": "markers", "name": name, "marker": {"color": colour, "size": 4, "opacity": 0.6}}
     if curve.band is not None:  # as lines, to zoom into
         return {"mode": "lines", "name": name, "opacity": 0.6, "line": {"color": colour, "width": 0.8}}
     dash = DASHES[curve.dash % len(DASHES)]

@@ -30,7 +30,7 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#0
 class Curve:
     """Points to draw, thinned; `colour` is an index of `COLOURS`, `dash` counts the lines of that colour on the axis.
 
-    `band`: times, smallest and largest values of what swings too fast to be seen as a line.
+    `band`: times, smallest and largest values of what swings too fast to be seen as a line.  `points`: no line through them.
     """
 
     label: str
@@ -40,6 +40,7 @@ class Curve:
     dash: int = 0
     limit: bool = False
     band: tuple[Floats, Floats, Floats] | None = None
+    points: bool = False
 
 
 @dataclass(frozen=True)
@@ -144,14 +145,14 @@ def panel(title: str, signals: Sequence[Signal], events: Sequence[float] = ()) -
     log, unit = signals[0].log, signals[0].unit
     size = max((_largest(s.values) for s in signals), default=0.0)
     factor, text = (1.0, unit or "") if log else scaled(size, unit)
-    paces = [0.0 if log else _pace(s.values, size) for s in signals]
+    paces = [0.0 if log or s.points else _pace(s.values, size) for s in signals]
     span = periods(signals[0].time, min(p for p in paces if p), sorted(events)) if any(paces) else None
     curves, near, lines = list[Curve](), list[Curve](), dict[int, int]()
     for i, (s, pace) in enumerate(zip(signals, paces, strict=True)):
         time, values = _highest(s) if log else thin(s.time, s.values)
         colour = (i if s.owner is None else s.owner) % len(COLOURS)
         edges = band(s.time, s.values * factor, pace) if pace else None
-        curve = Curve(s.label or s.name, time, values * factor, colour, lines.get(colour, 0), s.limit, edges)
+        curve = Curve(s.label or s.name, time, values * factor, colour, lines.get(colour, 0), s.limit, edges, s.points)
         curves.append(curve)
         if span:
             part = clipped(s, span)

@@ -157,11 +157,14 @@ def _style(curve: Curve, log: bool = False) -> dict[str, Any]:
     colour = COLOURS[curve.colour]
     if curve.limit:
         return {"color": colour, "ls": (0, (4, 3)), "lw": 0.8, "alpha": 0.8}
+    label = "\n".join(entry(curve.label))
+    if curve.points:
+        return {"color": colour, "ls": "", "marker": ".", "ms": 4, "alpha": 0.6, "label": label}
     dash = DASHES[curve.dash % len(DASHES)]
     shape: dict[str, Any] = (
         {"lw": 0.6, "marker": ".", "ms": 2} if log else {"lw": 1.1}
     )  # between zeros are single points
-    return {"color": colour, "ls": dash, "label": "\n".join(entry(curve.label))} | shape
+    return {"color": colour, "ls": dash, "label": label} | shape
 
 
 def _crowds(ax: Any, crowds: list[Crowd]) -> None:
