@@ -22,6 +22,7 @@ from phfmu.components.mechanical.multibody.declaration import Declaration
 from phfmu.components.mechanical.multibody.parts import (
     Combined,
     Constraint,
+    Contact,
     Damper,
     DrivenPoint,
     Given,
@@ -218,7 +219,7 @@ class Multibody:
         self.parts.rate_ports.append(RatePort(name, domain, given, tuple(points), rate, description))
 
     def rate_damper(self, points: Sequence[Point], rate: Rate, value: Any) -> None:
-        """Dissipation |J v|^2 value of a rate; `value`: a number or a parameter."""
+        """Dissipation |J v|^2 value of a rate; `value`: a number, a parameter, or value(d) as of `observable`."""
         self.parts.rate_dampers.append(RateDamper(tuple(points), rate, value))
 
     def rate_integral(
@@ -233,6 +234,32 @@ class Multibody:
     ) -> None:
         """A state s, s' = J(q) v, as an angle that counts turns, with `energy(s)` [J]: M v' = .. - J^T energy'(s)."""
         self.parts.integrals.append(RateIntegral(name, unit, float(start), tuple(points), rate, energy))
+
+    # -- contacts ---------------------------------------------------------------------------------------------------
+
+    def contact(
+        self,
+        name: str,
+        gap: Callable[[Any], ca.SX],
+        restitution: float = 0.0,
+        *,
+        nominal: float = 1.0,
+        unit: str = "m",
+    ) -> None:
+        """A hard contact without friction, 0 <= gap: a state event `name` and the parameter `name.restitution` e.
+
+            at gap = 0:  c = d gap/dt jumps to -e c,  M v+ = M v- + n m,  n = (d gap/dq)^T,  lost (1 - e^2)/2 c^2/(n^T M^-1 n)
+
+        with the constraints kept through it; what it loses is booked.  `gap(d)` is made of d.at(point), and of d.integral[name]
+        of `rate_integral`.
+
+        A contact throws back and does not hold:
+        what is to rest on something rests on a strain with a rate damper.
+        Source: Brogliato, Nonsmooth Mechanics (2016), Newton's law of restitution.
+        """
+        e = parameter(f"{name}.restitution", float(restitution), min=0.0, max=1.0, description=f"of {name}")
+        self.parts.parameters.append(e)
+        self.parts.contacts.append(Contact(name, gap, e, float(nominal), unit))
 
     def observable(self, name: str, unit: str, of: Callable[[Any], ca.SX], description: str = "") -> None:
         """A reported expression of(d) of d.at(point), d.speed(point) and d.multiplier[label]."""

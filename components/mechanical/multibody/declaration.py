@@ -12,9 +12,12 @@ from phfmu import (
     TRANSLATIONAL,
     Block,
     Energy,
+    Guard,
     Holonomic,
+    Jump,
     Observable,
     Port,
+    StateEvent,
     Variable,
     algebraic,
     block,
@@ -119,7 +122,7 @@ class Declaration:
             structure += [skew(self.s[p], w, 1.0), skew(w, self.f[p], 1.0)]
         structure += self.rates()
         energies, dissipation = tuple(self.energies()), tuple(self.dissipation())
-        ports, observables = tuple(self.ports()), tuple(self.observables())
+        ports, observables, events = tuple(self.ports()), tuple(self.observables()), tuple(self.events())
         return PHDAE(
             parts.name,
             states=(self.q, self.v, *self.s.values(), *self.integral.values()),
@@ -131,6 +134,7 @@ class Declaration:
             dissipation=dissipation,
             ports=ports,
             constraints=constraints,
+            state_events=events,
             observables=observables,
             description=parts.description,
             shapes=shapes(self),
@@ -181,7 +185,19 @@ class Declaration:
         for r in self.parts.rate_dampers:
             columns = list(self.columns(r.points, r.rate))
             form = ca.vertcat(*(c for _, c in columns))
-            yield block([v for v, _ in columns], ca.mtimes(form, form.T) * getattr(r.value, "sx", r.value))
+            value: Any = r.value(self) if callable(r.value) else getattr(r.value, "sx", r.value)
+            yield block([v for v, _ in columns], ca.mtimes(form, form.T) * value)
+
+    def events(self) -> Iterator[StateEvent]:
+        """Contacts: where a gap closes, an impulse along its gradient turns its rate round."""
+        for c in self.parts.contacts:
+            gap = c.gap(self)
+            column = ca.jacobian(gap, self.q.sx).T
+            for i, angle in zip(self.parts.integrals, self.integral.values(), strict=True):
+                _, form = self.linear_form([Particle(j) for j in range(len(self.parts.masses))], i.rate)
+                column += ca.jacobian(gap, angle.sx) * form.T
+            jump = Jump({self.v: ca.densify(column)}, c.restitution.sx, law="unilateral")
+            yield StateEvent(Guard(c.name, gap, -1, c.nominal, c.unit), jump=jump)
 
     def ports(self) -> Iterator[Port]:
         dim = self.parts.dim

@@ -13,8 +13,9 @@ import numpy as np
 from phfmu import PHDAE, ROTATIONAL, TRANSLATIONAL, Variable
 from phfmu.components.mechanical.multibody.body import Body, Spring
 from phfmu.components.mechanical.multibody.builder import Multibody
+from phfmu.components.mechanical.multibody.contact import ContactPair, Limits, add_contact
 from phfmu.components.mechanical.multibody.joint import Coordinate, Joint, Side, Symbols, coordinates, rate
-from phfmu.components.mechanical.multibody.parts import Combined, Particle
+from phfmu.components.mechanical.multibody.parts import Combined, Particle, Rate
 from phfmu.components.mechanical.multibody.solids import add_solid
 
 if TYPE_CHECKING:
@@ -37,7 +38,7 @@ class Observed:
 
 @dataclass
 class MechanismParts:
-    """Bodies, joints and springs of a mechanism in the order they were added; gravity [m/s2] has three entries."""
+    """Bodies, joints, springs and contacts of a mechanism in the order they were added; gravity [m/s2] has three entries."""
 
     name: str
     planar: bool
@@ -46,6 +47,7 @@ class MechanismParts:
     bodies: list[Body] = field(default_factory=list)
     joints: list[Joint] = field(default_factory=list)
     springs: list[Spring] = field(default_factory=list)
+    contacts: list[ContactPair] = field(default_factory=list)
     observed: list[Observed] = field(default_factory=list)
 
 
@@ -61,6 +63,8 @@ class Equations:
         self.particles: dict[int, list[Particle]] = {}
         self.rho: dict[int, ca.SX] = {}
         self.sides: dict[str, tuple[JointSide, JointSide]] = {}
+        #: ends of the coordinates of joints with limits
+        self.marks: dict[str, list[ca.SX]] = {}
 
     def phdae(self) -> PHDAE:
         for body in self.given.bodies:
@@ -69,6 +73,8 @@ class Equations:
             self._joint(joint)
         for spring in self.given.springs:
             self._spring(spring)
+        for pair in self.given.contacts:
+            add_contact(self, pair)
         for observed in self.given.observed:
             self._observe(observed)
         return self.made.build()
@@ -257,12 +263,23 @@ class Equations:
             return
         if joint.armature:
             self._armature(joint, sides, coordinate, angular)
-        spring = self._spring_energy(joint, angular)
+        limits, unit = joint.limits, coordinate.unit
+        if limits is not None:
+            self.marks[name] = [
+                m.parameter(f"{name}.{which}_limit", end, unit=unit, description=f"{which} end of {name}").sx
+                for which, end, _ in limits.ends
+            ]
+        if limits is not None and limits.hard:
+            self._hard_limits(joint, sides, coordinate, limits)
+        stored = [
+            e for e in (self._spring_energy(joint, angular), self._stops(joint, sides, coordinate, points, form)) if e
+        ]
+        energy = (lambda s: sum((e(s) for e in stored), ca.SX(0))) if stored else None
         if angular and joint.counted:
             start = float(coordinates(joint)[number]) if joint.start is None else joint.start
-            m.rate_integral(f"{name}.turned", points, form, unit="rad", start=start, energy=spring)
-        elif spring is not None:
-            m.strain(lambda at: _length(coordinate, sides[0].seen(at), sides[1].seen(at)), spring)
+            m.rate_integral(f"{name}.turned", points, form, unit=unit, start=start, energy=energy)
+        elif energy is not None:
+            m.strain(lambda at: _length(coordinate, sides[0].seen(at), sides[1].seen(at)), energy)
         if self.observe:
             label = name if len(joint.equations.coordinates) == 1 else f"{name}.{coordinate.name}"
             m.observable(f"{label}.rate", f"{coordinate.unit}/s", lambda d: form(d.at, d.speed), f"rate of {name}")
@@ -272,6 +289,54 @@ class Equations:
                 lambda d: self._value(joint, sides, coordinate, d),
                 f"of {name}",
             )
+
+    def _hard_limits(
+        self, joint: Joint, sides: tuple[JointSide, JointSide], coordinate: Coordinate, limits: Limits
+    ) -> None:
+        """The ends of a coordinate as contacts."""
+        for (which, _, sign), mark in zip(limits.ends, self.marks[joint.name], strict=True):
+
+            def gap(d: Declaration, mark: ca.SX = mark, sign: float = sign) -> ca.SX:
+                return sign * (self._limited(joint, sides, coordinate, limits, d) - mark)
+
+            self.made.contact(f"{joint.name}.{which}", gap, limits.restitution, unit=coordinate.unit)
+
+    def _stops(
+        self,
+        joint: Joint,
+        sides: tuple[JointSide, JointSide],
+        coordinate: Coordinate,
+        points: list[Particle],
+        form: Rate,
+    ) -> Callable[[ca.SX], ca.SX] | None:
+        """The energy of ends that give way, of the coordinate, and their friction; None: there are none."""
+        limits, m, name = joint.limits, self.made, joint.name
+        if limits is None or limits.compliance is None:
+            return None
+        law, angular = limits.compliance, coordinate.unit == "rad"
+        k, friction = law.parameters(m, f"{name}.stop", angular)
+        marks = [(at, sign) for (_, _, sign), at in zip(limits.ends, self.marks[name], strict=True)]
+
+        def friction_at(d: Declaration) -> ca.SX:
+            value = self._limited(joint, sides, coordinate, limits, d)
+            return sum((law.friction(k, friction, x * (value - at)) for at, x in marks), ca.SX(0))
+
+        m.rate_damper(points, form, friction_at)
+        return lambda s: sum((law.energy(k, x * (s - at)) for at, x in marks), ca.SX(0))
+
+    def _limited(
+        self,
+        joint: Joint,
+        sides: tuple[JointSide, JointSide],
+        coordinate: Coordinate,
+        limits: Limits,
+        d: Declaration,
+    ) -> ca.SX:
+        """The coordinate; an angle that counts no turns within pi of the middle between its ends."""
+        a, b = (s.seen(d.at) for s in sides)
+        if coordinate.unit != "rad":
+            return _length(coordinate, a, b)
+        return d.integral[f"{joint.name}.turned"].sx if joint.counted else _angle_near(limits.middle, a, b)
 
     def _armature(
         self, joint: Joint, sides: tuple[JointSide, JointSide], coordinate: Coordinate, angular: bool
@@ -312,7 +377,7 @@ class Equations:
         a, b = (s.seen(d.at) for s in sides)
         if coordinate.unit != "rad":
             return _length(coordinate, a, b)
-        angle = ca.atan2(ca.dot(a.y, b.x), ca.dot(a.x, b.x))
+        angle = _angle_near(0.0, a, b)
         if not joint.counted:
             return angle
         turned = d.integral[f"{joint.name}.turned"]
@@ -408,6 +473,14 @@ def _length(coordinate: Coordinate, a: Side, b: Side) -> ca.SX:
     """Displacement of the second body along the axis of a sliding coordinate."""
     along = {"length": a.x if a.p.numel() == 2 else a.z}.get(coordinate.name)
     return ca.dot(getattr(a, coordinate.name) if along is None else along, b.p - a.p)
+
+
+def _angle_near(middle: float, a: Side, b: Side) -> ca.SX:
+    """The angle from the x axis of a to that of b about z, within pi of `middle` [rad]."""
+    s, c = ca.dot(a.y, b.x), ca.dot(a.x, b.x)
+    if not middle:
+        return ca.atan2(s, c)
+    return middle + ca.atan2(s * np.cos(middle) - c * np.sin(middle), c * np.cos(middle) + s * np.sin(middle))
 
 
 def _angle(d: ca.SX) -> ca.SX:

@@ -15,6 +15,7 @@ import casadi as ca
 import numpy as np
 
 from phfmu.components.mechanical.multibody.body import Body, rotation_about
+from phfmu.components.mechanical.multibody.contact import Limits
 
 Rows = Callable[["Side", "Side", ca.SX], tuple[list[ca.SX], list[ca.SX]]]
 
@@ -124,7 +125,7 @@ class Joint:
 
     at_a, at_b [m], frame_a, frame_b (columns x, y, z): in the frames of the bodies;  length [m]: of a distance
     damping, stiffness, neutral: per coordinate rate and coordinate;  motor: "" or what is given, "effort" or "flow"
-    armature: inertia of a rotor [kg.m2] or mass [kg] that moves with the coordinate
+    armature: inertia of a rotor [kg.m2] or mass [kg] that moves with the coordinate;  limits: of the coordinate
     """
 
     kind: str
@@ -143,6 +144,7 @@ class Joint:
     motor: str = ""
     counted: bool = False
     armature: float = 0.0
+    limits: Limits | None = None
     #: the coordinate at the start where it counts turns
     start: float | None = None
 
@@ -166,6 +168,18 @@ class Joint:
     def gap(self) -> np.ndarray:
         """Its equations at the start [m, rad]."""
         return np.array(rows_at(self.kind, self.planar)(*self.sides(), self.length or 1.0)[0]).ravel()
+
+    def require_apart(self, mechanism: str) -> None:
+        """ValueError where its coordinate is beyond a hard limit at the start."""
+        if self.limits is None or not self.limits.hard:
+            return
+        value = float(coordinates(self)[0]) if self.start is None else self.start
+        for which, end, sign in self.limits.ends:
+            if sign * (value - end) < -1e-12:
+                raise ValueError(
+                    f"{mechanism}: joint '{self.name}' starts at {value:.6g}, beyond its {which} limit {end:.6g}; assemble it "
+                    "within its limits"
+                )
 
     def slopes(self) -> list[np.ndarray]:
         """Derivatives of the equations at the start with respect to p and axes of a, then of b."""

@@ -9,6 +9,7 @@ Source: P. Betsch, P. Steinmann, Int. J. Numer. Meth. Engng. 50 (2001), for rigi
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import product
 from typing import Any, Literal
 
 import numpy as np
@@ -16,6 +17,7 @@ import numpy as np
 from phfmu import PHDAE
 from phfmu.components.mechanical.multibody.assembly import Assembly, require_closed, unallowed
 from phfmu.components.mechanical.multibody.body import Body, Spring, frame_along, tensor
+from phfmu.components.mechanical.multibody.contact import Compliance, ContactPair, Limits
 from phfmu.components.mechanical.multibody.equations import Equations, MechanismParts, Observed
 from phfmu.components.mechanical.multibody.joint import Joint, finite, known_kind
 from phfmu.components.mechanical.multibody.mobility import Mobility, mobility
@@ -142,6 +144,8 @@ class Mechanism:
         armature: float = 0.0,
         motor: Literal["", "effort", "flow"] | bool = "",
         turns: bool = False,
+        limits: tuple[float, float] | Limits | None = None,
+        restitution: float = 0.0,
     ) -> Joint:
         """A joint between the bodies a and b; None is the ground.
 
@@ -156,6 +160,8 @@ class Mechanism:
         armature:   inertia of a rotor [kg.m2], or mass [kg], that moves with the coordinate and with nothing else
         motor:      a port NAME: "effort" (or True): torque or force given, speed found; "flow": the reverse
         turns:      NAME.angle counts turns beyond pi, by a state
+        limits:     (lower, upper) [rad, m], infinite where there is none: hard ends that throw back with `restitution`, as state
+                    events NAME.lower and NAME.upper; or `Limits(lower, upper, compliance=Compliance(..))`, which give way
         """
         found = known_kind(kind, self.planar)
         if any(j.name == name for j in self.joints) or any(b.name == name for b in self.bodies):
@@ -167,14 +173,19 @@ class Mechanism:
             raise ValueError(f"joint '{name}' joins {'the ground' if a is None else repr(a.name)} with itself")
         if (damping or stiffness or motor or turns or armature) and len(found.coordinates) == 0:
             raise ValueError(f"joint '{name}': a {kind} joint has no coordinate for a damper, spring or motor")
-        if (stiffness or motor or turns or armature) and len(found.coordinates) != 1:
+        if (stiffness or motor or turns or armature or limits is not None) and len(found.coordinates) != 1:
             raise ValueError(
                 f"joint '{name}': a {kind} joint has {len(found.coordinates)} coordinates; use joints with one each"
             )
+        ends = Limits(*limits, restitution) if isinstance(limits, tuple) else limits
+        wide = ends is not None and (ends.compliance is not None or not ends.upper - ends.lower < 2 * np.pi)
         joint = Joint(
             kind, name, a, b, *self._placed(name, a, b, at, at_a, at_b, axis, axis_b, x_axis), self.planar,
-            0.0, damping, stiffness, neutral, "effort" if motor is True else motor or "", turns or bool(stiffness), armature,
+            0.0, damping, stiffness, neutral, "effort" if motor is True else motor or "", turns or bool(stiffness) or wide,
+            armature, ends,
         )  # fmt: skip
+        if ends is not None:
+            ends.require(f"joint '{name}'")
         self._require_directions(joint)
         if kind == "distance":
             pa, _, pb, _ = joint.sides()
@@ -199,6 +210,73 @@ class Mechanism:
         """
         ends = [(body, self._point(f"spring '{name}'", place)) for body, place in (a, b)]
         self.parts.springs.append(Spring(name, ends[0], ends[1], float(stiffness), float(length), float(damping)))
+
+    def contact(
+        self,
+        name: str,
+        a: Body | None,
+        b: Body,
+        *,
+        at_a: Sequence[float] | None = None,
+        at_b: Sequence[float] | None = None,
+        normal: Sequence[float] | None = None,
+        radius: float = 0.0,
+        radius_a: float = 0.0,
+        restitution: float = 0.0,
+        compliance: Compliance | None = None,
+    ) -> ContactPair:
+        """A contact without friction of a ball, or a point, of b with a plane or a ball of a (None: the ground).
+
+        normal:    of the plane through at_a [m], towards b, in the frame of a; None: a has a ball about at_a of `radius_a` [m]
+        at_b:      centre of the ball of b, of `radius` [m]; 0: a point
+        restitution: of a hard contact, which throws back: a state event NAME whose loss is booked
+        compliance:  a contact that gives way and may hold (see `Compliance`)
+        Observable:  NAME.gap [m];  errors: ValueError names the contact that overlaps at the start, in `build`
+        """
+        what = f"contact '{name}'"
+        if any(x.name == name for x in (*self.joints, *self.bodies, *self.parts.contacts)):
+            raise ValueError(f"{self.name}: there are two parts called '{name}'")
+        if a is b or b not in self.bodies or not (a is None or a in self.bodies):
+            raise ValueError(f"{what}: it is between two bodies of {self.name}, or the ground and one")
+        across = None if normal is None else self._point(what, normal)
+        places = self._point(what, at_a), self._point(what, at_b)
+        pair = ContactPair(name, a, b, *places, across, radius, radius_a, restitution, compliance)
+        self.parts.contacts.append(pair)
+        return pair
+
+    def box_contact(
+        self,
+        name: str,
+        a: Body | None,
+        b: Body,
+        size: Sequence[float],
+        *,
+        at_a: Sequence[float] | None = None,
+        normal: Sequence[float] | None = None,
+        restitution: float = 0.0,
+        compliance: Compliance | None = None,
+    ) -> list[ContactPair]:
+        """Contacts NAME1, NAME2, .. of the corners of a box of b with a plane of a: edges `size` [m], about the frame of b.
+
+        normal: default against gravity's usual direction, z in space and y in the plane;  all else as of `contact`
+        """
+        n = 2 if self.planar else 3
+        half = 0.5 * finite(f"size of the box of contact '{name}'", size, n)
+        up = [0.0] * (n - 1) + [1.0] if normal is None else normal
+        corners = [half * signs for signs in product((-1.0, 1.0), repeat=n)]
+        return [
+            self.contact(
+                f"{name}{i}",
+                a,
+                b,
+                at_a=at_a,
+                at_b=corner.tolist(),
+                normal=up,
+                restitution=restitution,
+                compliance=compliance,
+            )
+            for i, corner in enumerate(corners, 1)
+        ]
 
     def observe(self, name: str, of: Body | Joint, place: Sequence[float] | None = None, description: str = "") -> None:
         """An observable of its own: a point of a body at a place in its frame [m], or the coordinate of a joint."""
@@ -260,6 +338,8 @@ class Mechanism:
                 f"{self.name}: the velocities at the start open joint '{name}' at {rate:.6g} (m/s or rad/s); "
                 "call assemble(speeds=..)"
             )
+        for part in (*self.parts.contacts, *self.joints):
+            part.require_apart(self.name)
         return Equations(self.parts, observe).phdae()
 
     def mobility(self) -> Mobility:

@@ -136,7 +136,10 @@ class RatePort:
 
 @dataclass(frozen=True)
 class RateDamper:
-    """The dissipation |rate|^2 value of the rate J(q) v of `points`."""
+    """The dissipation |rate|^2 value of the rate J(q) v of `points`.
+
+    value: a number, a parameter, or value(d) as of `Reported`
+    """
 
     points: tuple[Point, ...]
     rate: Rate
@@ -153,6 +156,21 @@ class RateIntegral:
     points: tuple[Point, ...]
     rate: Rate
     energy: Scalar | None
+
+
+@dataclass(frozen=True)
+class Contact:
+    """A hard contact 0 <= gap: where it closes, the rate of the gap jumps from c to -restitution c.
+
+    gap: of a declaration, made of positions and of integrals of rates;  restitution: a parameter
+    nominal, unit: of the gap
+    """
+
+    name: str
+    gap: Callable[[Any], ca.SX]
+    restitution: Variable
+    nominal: float
+    unit: str
 
 
 @dataclass(frozen=True)
@@ -195,6 +213,7 @@ class Parts:
     rate_ports: list[RatePort] = field(default_factory=list)
     rate_dampers: list[RateDamper] = field(default_factory=list)
     integrals: list[RateIntegral] = field(default_factory=list)
+    contacts: list[Contact] = field(default_factory=list)
     reported: list[Reported] = field(default_factory=list)
     #: name, the particle it acts on, the one it reacts on
     ports: list[tuple[str, Particle, Particle | None]] = field(default_factory=list)

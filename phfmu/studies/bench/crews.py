@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 #: chains, links of each
 SIZES = ((2, 20), (2, 60), (2, 200), (4, 100))
-STEP, TURN, TURNS = 1e-3, 200, 5  # s; steps of a turn (threads are started in each), turns that the medians are of
+STEP, TURN, TURNS = 1e-4, 200, 5  # s; steps of a turn (threads are started in each), turns that the medians are of
 
 
 @dataclass(frozen=True)
