@@ -74,6 +74,14 @@ LIBRARY: dict[str, tuple[str, str, str]] = {
     "bricard": ("component", _B + "bricard", "five rods, six hinges, one equation too many"),
     "flyball": ("component", _B + "flyball", "governor with stiff springs and dampers"),
     "slider_crank": ("component", _B + "slider_crank", "crank, rod and piston with motor ports"),
+    "car_axis": ("component", _B + "car_axis", "two bodies on stiff springs over a wavy road"),
+    "rope_bridge": ("component", _B + "rope_bridge", "planks between two ropes"),
+    "gear_train": ("component", _B + "gear_train", "wheels in mesh and a rack that lift a load"),
+    "box_on_floor": (
+        "component",
+        _B + "box_on_floor",
+        "box thrown onto the floor: impacts of its corners, until it rests",
+    ),
     "heavy_top": ("component", _M + "heavy_top", "spinning disc on a stem, singular mass matrix"),
     "mass": ("component", _M + "translational", "mass with optional spring and damper to ground"),
     "spring": ("component", _M + "translational", "linear spring between two flanges"),
@@ -189,6 +197,10 @@ RUNS: dict[str, tuple[float, float]] = {
     "andrews": (0.03, 1e-4),
     "bricard": (10.0, 0.01),
     "flyball": (10.0, 0.01),
+    "car_axis": (3.0, 1e-3),
+    "rope_bridge": (5.0, 0.005),
+    "gear_train": (0.5, 1e-3),
+    "box_on_floor": (3.0, 0.002),
 }
 
 

@@ -131,9 +131,7 @@ def thrown(stop: float) -> tuple[np.ndarray, int]:
     return bounced(f, start, stop, gaps, impact)
 
 
-@pytest.mark.parametrize(
-    "order, step, most", wide([(2, 2.5e-4, 2e-4), (6, 5e-3, 1e-8)], (6, 5e-3, 1e-8))
-)
+@pytest.mark.parametrize("order, step, most", wide([(2, 2.5e-4, 2e-4), (6, 5e-3, 1e-8)], (6, 5e-3, 1e-8)))
 def test_a_box_on_the_floor(order: int, step: float, most: float) -> None:
     declaration = box(restitution=E).build()
     found = ran(declaration, order, step, 0.8)

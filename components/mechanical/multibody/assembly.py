@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from phfmu.components.mechanical.multibody.body import Body
+from phfmu.components.mechanical.multibody.gear import Gear
 from phfmu.components.mechanical.multibody.joint import SIZES, Joint, coordinates, directions, finite, motion
 
 #: a joint is open by more than this [m, rad]: it does not assemble
@@ -19,8 +20,10 @@ MOVING = 1e-9
 class Assembly:
     """A spanning tree of the joints, from the ground and from bodies that float; the other joints close loops."""
 
-    def __init__(self, bodies: Sequence[Body], joints: Sequence[Joint], given: Mapping[str, Any]):
-        self.bodies, self.joints = bodies, joints
+    def __init__(
+        self, bodies: Sequence[Body], joints: Sequence[Joint], given: Mapping[str, Any], gears: Sequence[Gear] = ()
+    ):
+        self.bodies, self.joints, self.gears = bodies, joints, gears
         self.tree, self.loops = _spanned(bodies, joints, given)
         self.value = {j.name: coordinates(j) for j, _ in self.tree}
 
@@ -91,8 +94,8 @@ class Assembly:
             else:
                 assert j.a is not None
                 _set_velocity(j.a, at, _velocity(j.b, at) - move, _turning(j.b) - turn)
-        if self.loops:
-            project(self.bodies, self.joints, speeds)
+        if self.loops or self.gears:
+            project(self.bodies, self.joints, speeds, self.gears)
 
 
 def require_closed(joints: Sequence[Joint], how: str = "") -> None:
@@ -106,19 +109,25 @@ def require_closed(joints: Sequence[Joint], how: str = "") -> None:
         )
 
 
-def project(bodies: Sequence[Body], joints: Sequence[Joint], speeds: Mapping[str, Any]) -> None:
-    """Change velocities by the least in the mass metric so that all joints allow them and joints have the given rates."""
+def project(
+    bodies: Sequence[Body], joints: Sequence[Joint], speeds: Mapping[str, Any], gears: Sequence[Gear] = ()
+) -> None:
+    """Change velocities by the least in the mass metric so that joints and gears allow them and joints have the given rates."""
     place = {id(b): 6 * i for i, b in enumerate(bodies)}
     n = 6 * len(bodies)
     rows, right, names = [], [], []
     for j in joints:
         rows.append(velocity_rows(j, place, n))
         right.append(np.zeros(len(rows[-1])))
-        names += [j.name] * len(rows[-1])
+        names += [f"joint '{j.name}'"] * len(rows[-1])
         if j.name in speeds:
             rows.append(_rate_rows(j, place, n))
             right.append(np.atleast_1d(np.asarray(speeds[j.name], float)))
-            names += [j.name] * len(rows[-1])
+            names += [f"joint '{j.name}'"] * len(rows[-1])
+    for g in gears:
+        rows.append(gear_rows(g, place, n))
+        right.append(np.zeros(1))
+        names.append(f"gear '{g.name}'")
     a, b = np.vstack(rows), np.concatenate(right)
     m = np.zeros((n, n))
     for body in bodies:
@@ -133,7 +142,7 @@ def project(bodies: Sequence[Body], joints: Sequence[Joint], speeds: Mapping[str
     if np.max(missed, initial=0.0) > MOVING * (1.0 + float(np.max(np.abs(v), initial=0.0))):
         worst = int(np.argmax(missed))
         raise ValueError(
-            f"the given rates of joints do not suit each other: joint '{names[worst]}' misses {missed[worst]:.6g} "
+            f"the given rates of joints do not suit each other: {names[worst]} misses {missed[worst]:.6g} "
             "(m/s or rad/s); give fewer of them"
         )
     for body in bodies:
@@ -141,9 +150,9 @@ def project(bodies: Sequence[Body], joints: Sequence[Joint], speeds: Mapping[str
         body.velocity, body.angular_velocity = v[i : i + 3].copy(), v[i + 3 : i + 6].copy()
 
 
-def unallowed(joints: Sequence[Joint]) -> tuple[float, str]:
-    """The largest rate at which a joint would open [m/s, rad/s], and its name."""
-    worst = (0.0, "")
+def unallowed(joints: Sequence[Joint], gears: Sequence[Gear] = ()) -> tuple[float, str]:
+    """The largest rate at which a joint would open, or a gear slip [m/s, rad/s], and its name."""
+    worst = max(((abs(g.slip()), f"gear '{g.name}'") for g in gears), default=(0.0, ""))
     for j in joints:
         rates = sum(
             (
@@ -153,7 +162,7 @@ def unallowed(joints: Sequence[Joint]) -> tuple[float, str]:
             ),
             np.zeros(len(j.gap())),
         )
-        worst = max(worst, (float(np.max(np.abs(rates), initial=0.0)), j.name))
+        worst = max(worst, (float(np.max(np.abs(rates), initial=0.0)), f"joint '{j.name}'"))
     return worst
 
 
@@ -230,6 +239,11 @@ def velocity_rows(j: Joint, place: Mapping[int, int], n: int) -> np.ndarray:
         if body is not None:
             rows[:, place[id(body)] : place[id(body)] + 6] += part
     return rows
+
+
+def gear_rows(g: Gear, place: Mapping[int, int], n: int) -> np.ndarray:
+    """The slip of a gear per velocities of all bodies."""
+    return _rate_rows(g.b, place, n) - g.ratio * _rate_rows(g.a, place, n)
 
 
 def _rate_rows(j: Joint, place: Mapping[int, int], n: int) -> np.ndarray:

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from math import pi
 from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
 
-from phfmu import PHDAE, ROTATIONAL, TRANSLATIONAL, Variable
+from phfmu import PHDAE, Variable
 from phfmu.components.mechanical.multibody.body import Body, Spring
 from phfmu.components.mechanical.multibody.builder import Multibody
-from phfmu.components.mechanical.multibody.contact import ContactPair, Limits, add_contact
-from phfmu.components.mechanical.multibody.joint import Coordinate, Joint, Side, Symbols, coordinates, rate
-from phfmu.components.mechanical.multibody.parts import Combined, Particle, Rate
+from phfmu.components.mechanical.multibody.contact import ContactPair, add_contact
+from phfmu.components.mechanical.multibody.coordinate import JointCoordinate
+from phfmu.components.mechanical.multibody.gear import Gear
+from phfmu.components.mechanical.multibody.joint import Joint, Symbols
+from phfmu.components.mechanical.multibody.parts import Combined, Particle
 from phfmu.components.mechanical.multibody.solids import add_solid
 
 if TYPE_CHECKING:
@@ -48,6 +49,7 @@ class MechanismParts:
     joints: list[Joint] = field(default_factory=list)
     springs: list[Spring] = field(default_factory=list)
     contacts: list[ContactPair] = field(default_factory=list)
+    gears: list[Gear] = field(default_factory=list)
     observed: list[Observed] = field(default_factory=list)
 
 
@@ -62,9 +64,7 @@ class Equations:
             self.made.gravity(mechanism.gravity[: self.dim].tolist())
         self.particles: dict[int, list[Particle]] = {}
         self.rho: dict[int, ca.SX] = {}
-        self.sides: dict[str, tuple[JointSide, JointSide]] = {}
-        #: ends of the coordinates of joints with limits
-        self.marks: dict[str, list[ca.SX]] = {}
+        self.coordinates: dict[str, list[JointCoordinate]] = {}
 
     def phdae(self) -> PHDAE:
         for body in self.given.bodies:
@@ -75,6 +75,8 @@ class Equations:
             self._spring(spring)
         for pair in self.given.contacts:
             add_contact(self, pair)
+        for gear in self.given.gears:
+            self._gear(gear)
         for observed in self.given.observed:
             self._observe(observed)
         return self.made.build()
@@ -82,11 +84,8 @@ class Equations:
     def _observe(self, observed: Observed) -> None:
         of = observed.of
         if isinstance(of, Joint):
-            coordinate = of.equations.coordinates[0]
-            sides = self.sides[of.name]
-            self.made.observable(
-                observed.name, coordinate.unit, lambda d: self._value(of, sides, coordinate, d), observed.description
-            )
+            coordinate = self.coordinates[of.name][0]
+            self.made.observable(observed.name, coordinate.unit, coordinate.value, observed.description)
         else:
             place, text = (
                 of.principal(observed.place)[: self.dim],
@@ -191,7 +190,7 @@ class Equations:
 
     def _joint(self, joint: Joint) -> None:
         m, name, kind = self.made, joint.name, joint.equations
-        sides = self.sides[name] = JointSide(self, joint, "a"), JointSide(self, joint, "b")
+        sides = JointSide(self, joint, "a"), JointSide(self, joint, "b")
         length = ca.SX(0)
         if joint.kind == "distance":
             length = m.parameter(f"{name}.length", joint.length, unit="m", positive=True, description=f"of {name}").sx
@@ -203,8 +202,12 @@ class Equations:
                     name,
                     multiplier=(f"{name}.{suffix}", unit),
                 )
-        for number, coordinate in enumerate(kind.coordinates):
-            self._coordinate(joint, sides, coordinate, number)
+        self.coordinates[name] = [
+            JointCoordinate(self, joint, sides, coordinate, number)
+            for number, coordinate in enumerate(kind.coordinates)
+        ]
+        for coordinate in self.coordinates[name]:
+            coordinate.add()
         if self.observe:
             self._observe_wrench(joint, sides, position, axes)
 
@@ -240,148 +243,20 @@ class Equations:
                 text, dense = f"{what} of {name} on its second body", ca.densify(expr)
                 self.made.observable(f"{name}.{what}", unit, lambda d, e=dense: placed(e, d), text)
 
-    def _coordinate(
-        self, joint: Joint, sides: tuple[JointSide, JointSide], coordinate: Coordinate, number: int
-    ) -> None:
-        """Damper, spring, motor and observables of a coordinate."""
-        m, name = self.made, joint.name
-        angular = coordinate.unit == "rad"
-        points = [p for body in (joint.a, joint.b) if body is not None for p in self.particles[id(body)]]
-
-        def form(at: Any, speed: Any) -> ca.SX:
-            a, b = sides
-            return coordinate.rate(a.seen(at), b.seen(at), a.seen(speed), b.seen(speed))
-
-        if joint.damping:
-            unit = "N.m.s/rad" if angular else "N.s/m"
-            d = m.parameter(f"{name}.damping", joint.damping, unit=unit, min=0.0, description=f"friction of {name}")
-            m.rate_damper(points, form, d)
-        if joint.motor:
-            domain = ROTATIONAL if angular else TRANSLATIONAL
-            m.rate_port(name, domain, "effort" if joint.motor == "effort" else "flow", points, form, f"motor of {name}")
-        if self._only_directors_known(joint):
-            return
-        if joint.armature:
-            self._armature(joint, sides, coordinate, angular)
-        limits, unit = joint.limits, coordinate.unit
-        if limits is not None:
-            self.marks[name] = [
-                m.parameter(f"{name}.{which}_limit", end, unit=unit, description=f"{which} end of {name}").sx
-                for which, end, _ in limits.ends
-            ]
-        if limits is not None and limits.hard:
-            self._hard_limits(joint, sides, coordinate, limits)
-        stored = [
-            e for e in (self._spring_energy(joint, angular), self._stops(joint, sides, coordinate, points, form)) if e
-        ]
-        energy = (lambda s: sum((e(s) for e in stored), ca.SX(0))) if stored else None
-        if angular and joint.counted:
-            start = float(coordinates(joint)[number]) if joint.start is None else joint.start
-            m.rate_integral(f"{name}.turned", points, form, unit=unit, start=start, energy=energy)
-        elif energy is not None:
-            m.strain(lambda at: _length(coordinate, sides[0].seen(at), sides[1].seen(at)), energy)
+    def _gear(self, gear: Gear) -> None:
+        """s_b - ratio s_a stays as it is at the start, of the coordinates s of two joints."""
+        a, b = (self.coordinates[joint.name][0].counter for joint in (gear.a, gear.b))
+        text = f"rate of {gear.b.name} by that of {gear.a.name}"
+        unit = gear.b.equations.coordinates[0].unit
+        what, effort = ("torque", "N.m") if unit == "rad" else ("force", "N")
+        ratio = self.made.parameter(f"{gear.name}.ratio", gear.ratio, unit=gear.unit, description=text).sx
+        start = self.made.parameter(f"{gear.name}.start", gear.start(), unit=unit, description=f"of {gear.name}").sx
+        self.made.constraint(
+            lambda at: at(b)[0] - ratio * at(a)[0] - start, gear.name, multiplier=(f"{gear.name}.lambda", effort)
+        )
         if self.observe:
-            label = name if len(joint.equations.coordinates) == 1 else f"{name}.{coordinate.name}"
-            m.observable(f"{label}.rate", f"{coordinate.unit}/s", lambda d: form(d.at, d.speed), f"rate of {name}")
-            m.observable(
-                f"{name}.{coordinate.name}",
-                coordinate.unit,
-                lambda d: self._value(joint, sides, coordinate, d),
-                f"of {name}",
-            )
-
-    def _hard_limits(
-        self, joint: Joint, sides: tuple[JointSide, JointSide], coordinate: Coordinate, limits: Limits
-    ) -> None:
-        """The ends of a coordinate as contacts."""
-        for (which, _, sign), mark in zip(limits.ends, self.marks[joint.name], strict=True):
-
-            def gap(d: Declaration, mark: ca.SX = mark, sign: float = sign) -> ca.SX:
-                return sign * (self._limited(joint, sides, coordinate, limits, d) - mark)
-
-            self.made.contact(f"{joint.name}.{which}", gap, limits.restitution, unit=coordinate.unit)
-
-    def _stops(
-        self,
-        joint: Joint,
-        sides: tuple[JointSide, JointSide],
-        coordinate: Coordinate,
-        points: list[Particle],
-        form: Rate,
-    ) -> Callable[[ca.SX], ca.SX] | None:
-        """The energy of ends that give way, of the coordinate, and their friction; None: there are none."""
-        limits, m, name = joint.limits, self.made, joint.name
-        if limits is None or limits.compliance is None:
-            return None
-        law, angular = limits.compliance, coordinate.unit == "rad"
-        k, friction = law.parameters(m, f"{name}.stop", angular)
-        marks = [(at, sign) for (_, _, sign), at in zip(limits.ends, self.marks[name], strict=True)]
-
-        def friction_at(d: Declaration) -> ca.SX:
-            value = self._limited(joint, sides, coordinate, limits, d)
-            return sum((law.friction(k, friction, x * (value - at)) for at, x in marks), ca.SX(0))
-
-        m.rate_damper(points, form, friction_at)
-        return lambda s: sum((law.energy(k, x * (s - at)) for at, x in marks), ca.SX(0))
-
-    def _limited(
-        self,
-        joint: Joint,
-        sides: tuple[JointSide, JointSide],
-        coordinate: Coordinate,
-        limits: Limits,
-        d: Declaration,
-    ) -> ca.SX:
-        """The coordinate; an angle that counts no turns within pi of the middle between its ends."""
-        a, b = (s.seen(d.at) for s in sides)
-        if coordinate.unit != "rad":
-            return _length(coordinate, a, b)
-        return d.integral[f"{joint.name}.turned"].sx if joint.counted else _angle_near(limits.middle, a, b)
-
-    def _armature(
-        self, joint: Joint, sides: tuple[JointSide, JointSide], coordinate: Coordinate, angular: bool
-    ) -> None:
-        """A particle that moves with the coordinate: u = L (cos, sin) of an angle, T = a |u'|^2/(2 L^2), or u = (s, 0)."""
-        value, speed = float(coordinates(joint)[0]), rate(joint)
-        size = next(body.rho for body in (joint.b, joint.a) if body is not None) if angular else 1.0
-        zero = [0.0] * (self.dim - 2)
-        c, s = size * np.cos(value), size * np.sin(value)
-        start = (
-            ([c, s, *zero], [-s * speed, c * speed, *zero]) if angular else ([value, 0.0, *zero], [speed, 0.0, *zero])
-        )
-        rotor = self.made.particle(joint.armature / size**2, *start, weight=False, name=f"{joint.name}.rotor")
-
-        def g(at: Any) -> ca.SX:
-            a, b, rest = sides[0].seen(at), sides[1].seen(at), ca.SX(self.dim - 2, 1)
-            if angular:
-                return at(rotor) - ca.vertcat(size * ca.dot(a.x, b.x), size * ca.dot(a.y, b.x), rest)
-            return at(rotor) - ca.vertcat(_length(coordinate, a, b), 0, rest)
-
-        self.made.constraint(g, f"rotor of {joint.name}", multiplier=(f"{joint.name}.rotor", "N"), kept=True)
-
-    def _only_directors_known(self, joint: Joint) -> bool:
-        """A joint with a rod or point mass has no coordinate that could be told."""
-        return any(body is not None and body.directors < 3 for body in (joint.a, joint.b))
-
-    def _spring_energy(self, joint: Joint, angular: bool) -> Callable[[ca.SX], ca.SX] | None:
-        if not joint.stiffness:
-            return None
-        unit = "N.m/rad" if angular else "N/m"
-        k = self.made.parameter(
-            f"{joint.name}.stiffness", joint.stiffness, unit=unit, min=0.0, description="of its spring"
-        )
-        zero = self.made.parameter(f"{joint.name}.neutral", joint.neutral, unit="rad" if angular else "m")
-        return lambda s: 0.5 * k.sx * (s - zero.sx) ** 2
-
-    def _value(self, joint: Joint, sides: tuple[JointSide, JointSide], coordinate: Coordinate, d: Declaration) -> ca.SX:
-        a, b = (s.seen(d.at) for s in sides)
-        if coordinate.unit != "rad":
-            return _length(coordinate, a, b)
-        angle = _angle_near(0.0, a, b)
-        if not joint.counted:
-            return angle
-        turned = d.integral[f"{joint.name}.turned"]
-        return angle + 2 * pi * ca.floor((turned - angle) / (2 * pi) + 0.5)
+            text = f"{what} of {gear.name} on {gear.b.name}"
+            self.made.observable(f"{gear.name}.{what}", effort, lambda d: -d.multiplier[f"{gear.name}.lambda"].sx, text)
 
     def _spring(self, spring: Spring) -> None:
         m, name = self.made, spring.name
@@ -467,20 +342,6 @@ def _rigid(directors: list[ca.SX], rho: ca.SX) -> ca.SX:
     rows = [0.5 * (ca.sumsqr(d) - rho**2) for d in directors]
     rows += [ca.dot(directors[i], directors[j]) for i, j in ((0, 1), (1, 2), (2, 0)) if len(directors) == 3]
     return ca.vertcat(*rows)
-
-
-def _length(coordinate: Coordinate, a: Side, b: Side) -> ca.SX:
-    """Displacement of the second body along the axis of a sliding coordinate."""
-    along = {"length": a.x if a.p.numel() == 2 else a.z}.get(coordinate.name)
-    return ca.dot(getattr(a, coordinate.name) if along is None else along, b.p - a.p)
-
-
-def _angle_near(middle: float, a: Side, b: Side) -> ca.SX:
-    """The angle from the x axis of a to that of b about z, within pi of `middle` [rad]."""
-    s, c = ca.dot(a.y, b.x), ca.dot(a.x, b.x)
-    if not middle:
-        return ca.atan2(s, c)
-    return middle + ca.atan2(s * np.cos(middle) - c * np.sin(middle), c * np.cos(middle) + s * np.sin(middle))
 
 
 def _angle(d: ca.SX) -> ca.SX:

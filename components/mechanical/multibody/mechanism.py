@@ -19,6 +19,7 @@ from phfmu.components.mechanical.multibody.assembly import Assembly, require_clo
 from phfmu.components.mechanical.multibody.body import Body, Spring, frame_along, tensor
 from phfmu.components.mechanical.multibody.contact import Compliance, ContactPair, Limits
 from phfmu.components.mechanical.multibody.equations import Equations, MechanismParts, Observed
+from phfmu.components.mechanical.multibody.gear import Gear
 from phfmu.components.mechanical.multibody.joint import Joint, finite, known_kind
 from phfmu.components.mechanical.multibody.mobility import Mobility, mobility
 
@@ -195,6 +196,21 @@ class Mechanism:
         self.joints.append(joint)
         return joint
 
+    def gear(self, name: str, a: Joint, b: Joint, ratio: float) -> Gear:
+        """A fixed ratio between the rates of two joints with one coordinate each: rate of b = ratio times rate of a.
+
+        ratio:  of wheels in mesh -r_a/r_b, of a belt r_a/r_b [1];  of a rack, b a slider, the radius [m/rad]
+        Kept of the coordinates themselves, with all turns, so that nothing slips at the end of any step; no power is lost.
+        `assemble` and `mobility` know gears.  Observable: NAME.torque [N.m], or NAME.force [N], on b
+        """
+        if any(x.name == name for x in (*self.joints, *self.bodies, *self.parts.contacts, *self.parts.gears)):
+            raise ValueError(f"{self.name}: there are two parts called '{name}'")
+        for joint in (a, b):
+            if joint not in self.joints:
+                raise ValueError(f"gear '{name}': joint '{joint.name}' is no joint of {self.name}")
+        self.parts.gears.append(Gear(name, a, b, float(ratio)))
+        return self.parts.gears[-1]
+
     def spring(
         self,
         name: str,
@@ -310,7 +326,7 @@ class Mechanism:
             if name not in known:
                 raise ValueError(f"{self.name}: no joint '{name}'; there are: {', '.join(sorted(known))}")
         before = [(b.position, b.rotation, b.velocity, b.angular_velocity) for b in self.bodies]
-        work = Assembly(self.bodies, self.joints, {**(near or {}), **held})
+        work = Assembly(self.bodies, self.joints, {**(near or {}), **held}, self.parts.gears)
         try:
             work.set({**(near or {}), **held})
             work.close(list(held))
@@ -332,10 +348,10 @@ class Mechanism:
         if not self.bodies:
             raise ValueError(f"{self.name}: no bodies")
         require_closed(self.joints)
-        rate, name = unallowed(self.joints)
+        rate, name = unallowed(self.joints, self.parts.gears)
         if rate > 1e-8 * (1.0 + max(float(np.linalg.norm(b.velocity)) for b in self.bodies)):
             raise ValueError(
-                f"{self.name}: the velocities at the start open joint '{name}' at {rate:.6g} (m/s or rad/s); "
+                f"{self.name}: the velocities at the start open {name} at {rate:.6g} (m/s or rad/s); "
                 "call assemble(speeds=..)"
             )
         for part in (*self.parts.contacts, *self.joints):
@@ -344,7 +360,7 @@ class Mechanism:
 
     def mobility(self) -> Mobility:
         """Degrees of freedom, equations, and the joints among whose equations some are too many, at the start."""
-        return mobility(self.bodies, self.joints, self.planar)
+        return mobility(self.bodies, self.joints, self.parts.gears, self.planar)
 
     # -- parts of arguments -----------------------------------------------------------------------------------------
 

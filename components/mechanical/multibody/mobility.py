@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phfmu.components.mechanical.multibody.assembly import velocity_rows
+from phfmu.components.mechanical.multibody.assembly import gear_rows, velocity_rows
 from phfmu.components.mechanical.multibody.body import Body
+from phfmu.components.mechanical.multibody.gear import Gear
 from phfmu.components.mechanical.multibody.joint import Joint
 
 #: singular values of rows of length 1 below this are zero
@@ -17,7 +18,9 @@ DEPENDENT = 1e-9
 
 @dataclass(frozen=True)
 class Mobility:
-    """degrees of freedom [1];  equations of joints and their rank;  redundant: joints among whose equations some are too many."""
+    """degrees of freedom [1];  equations of joints and gears, and their rank
+    redundant: joints among whose equations some are too many
+    """
 
     freedom: int
     equations: int
@@ -33,11 +36,12 @@ class Mobility:
         return f"{text}: {self.equations - self.rank} too many, among those of {names}; their forces are not unique"
 
 
-def mobility(bodies: Sequence[Body], joints: Sequence[Joint], planar: bool) -> Mobility:
-    """From the velocities that the joints allow at the start, with lengths in units of the mechanism."""
+def mobility(bodies: Sequence[Body], joints: Sequence[Joint], gears: Sequence[Gear], planar: bool) -> Mobility:
+    """From the velocities that joints and gears allow at the start, with lengths in units of the mechanism."""
     place = {id(b): 6 * i for i, b in enumerate(bodies)}
-    parts = [(j.name, velocity_rows(j, place, 6 * len(bodies))) for j in joints]
-    rows = np.vstack([np.zeros((0, 6 * len(bodies))), *(r for _, r in parts)])
+    n = 6 * len(bodies)
+    parts = [(j.name, velocity_rows(j, place, n)) for j in joints] + [(g.name, gear_rows(g, place, n)) for g in gears]
+    rows = np.vstack([np.zeros((0, n)), *(r for _, r in parts)])
     names = [name for name, r in parts for _ in r]
     rows = rows @ np.hstack(
         [np.zeros((rows.shape[1], 0)), *(_free(b, planar, 6 * k, rows.shape[1]) for k, b in enumerate(bodies))]
