@@ -83,8 +83,8 @@ GAINS = {n for b in (sexs, exac1, ieeex1, st1a, tgov1, hygov, gast, pss1a, ieees
 GAINS = (GAINS | {"A_SE", "B_SE"}) - {"R", "r", "u_base"}
 
 
-#: places and axes of joints and springs of a mechanism
-PLACES = ("at_", "x_axis_", "y_axis_", "z_axis_")
+#: places and axes of joints, springs and contacts of a mechanism
+PLACES = ("at_", "x_axis_", "y_axis_", "z_axis_", "normal")
 
 
 @pytest.mark.parametrize("name", LIBRARY)
@@ -108,6 +108,8 @@ def test_every_parameter_of_the_library_that_must_be_positive_says_so(name):
         "upper",
         "low",
         "high",
+        "ratio",
+        "start",
     }  # signs are a matter of direction
     for v in model.parameters:
         base = v.name.rsplit(".", 1)[-1]
