@@ -72,15 +72,20 @@ class Reading:
 def read(exprs: Sequence[ca.SX], locator: Locator, context: str, extra: Sequence[ca.SX] = ()) -> Reading:
     """The form of `exprs` and where their symbols live; `extra` symbols (scalars) are listed first even if they do not occur."""
     found: dict[Value, dict[int, ca.SX]] = {}
-    for s in [*extra, *ca.symvar(ca.veccat(*exprs))]:
+    alone = len(exprs) == 1 and exprs[0].is_symbolic() and exprs[0].is_scalar()
+    for s in [*extra, *(exprs if alone else ca.symvar(ca.veccat(*exprs)))]:
         at = locator.find(s, context)
         found.setdefault(at.kind, {}).setdefault(at.index, s)
     found = {kind: found[kind] for kind in Value if kind in found}
     symbols = {kind: list(of.values()) for kind, of in found.items()}
     index = {kind: tuple(of) for kind, of in found.items()}
+    counts = tuple((kind, len(of)) for kind, of in symbols.items())
+    if alone:  # a mass, a state that is observed
+        at = locator.find(exprs[0], context)
+        return Reading((counts, at.kind, index[at.kind].index(at.index)), symbols, index)
     f = ca.Function("f", [ca.vertcat(*of) for of in symbols.values()], exprs)
     shapes = tuple((*e.shape, *map(tuple, e.sparsity().get_triplet())) if e.numel() != 1 else e.nnz() for e in exprs)
-    return Reading((tuple((kind, len(of)) for kind, of in symbols.items()), shapes, _operations(f)), symbols, index)
+    return Reading((counts, shapes, _operations(f)), symbols, index)
 
 
 def _operations(f: ca.Function) -> tuple[Hashable, ...]:

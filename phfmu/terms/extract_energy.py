@@ -121,6 +121,20 @@ def divided(gradient: ca.SX, m: ca.SX) -> ca.SX:
     return gradient / m
 
 
+def all_divided(gradients: ca.SX, masses: list[ca.SX]) -> list[ca.SX]:
+    """The entries of a column `divided` by their masses; those that are products with a symbol m of their own, all at once."""
+    symbols = {m.element_hash(): m for m in masses if m.is_symbolic()}
+    if len(symbols) > 1 and all(m.is_symbolic() for m in masses):
+        m, place = ca.vertcat(*symbols.values()), {key: j for j, key in enumerate(symbols)}
+        f = ca.jtimes(gradients, m, ca.DM.ones(m.numel()))
+        row, col = ca.jacobian_sparsity(gradients, m).get_triplet()
+        own = all(place[masses[r].element_hash()] == c for r, c in zip(row, col, strict=True))
+        left = ca.substitute(gradients, m, ca.SX.zeros(m.numel(), 1))
+        if own and not ca.jacobian_sparsity(f, m).nnz() and all(e.is_zero() for e in ca.vertsplit(left)):
+            return ca.vertsplit(ca.densify(f))
+    return [divided(g, m) for g, m in zip(ca.vertsplit(gradients), masses, strict=True)]
+
+
 def _states_of(expr: ca.SX, locator: Locator) -> list[tuple[ca.SX, int]]:
     found = []
     for s in ca.symvar(expr):
