@@ -15,7 +15,7 @@ from phfmu.declare.operations import degree, piecewise
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.summands import summands
 from phfmu.declare.variable import Value
-from phfmu.terms.canonical import Locator, alike, make_term, member
+from phfmu.terms.canonical import Locator, alike, make_term
 from phfmu.terms.located import Row, RowAt
 from phfmu.terms.term import ENERGY, JOINT, EnergyForm, Term, Terms
 
@@ -32,7 +32,7 @@ def energies(model: PHDAE, out: Terms, locator: Locator, mass: dict[int, ca.SX],
         states = _states_of(e.expr, locator)
         if not states:  # a constant moves nothing
             continue
-        owner = member(out.members, e.owner)
+        owner = out.member(e.owner)
         if e.kind is not EnergyKind.QUADRATIC:
             _require_kind(model, e, states)
             out.terms.append(_bent(e, out, locator, mass, states, owner))
@@ -96,7 +96,7 @@ def _joint(model: PHDAE, out: Terms, locator: Locator, mass: dict[int, ca.SX], g
         return
     exprs = {"H": total, "scale": _scale(states, mass), "z": _costates(total, states, mass)}
     out.terms.append(make_term(JOINT, exprs, locator, "energy",
-                               rows=_balances(states), owner=member(out.members, group[0].owner),
+                               rows=_balances(states), owner=out.member(group[0].owner),
                                extra=[s for s, _ in states]))  # fmt: skip
 
 
@@ -153,7 +153,7 @@ def component_energies(terms: Terms) -> list[ca.SX]:
     model = terms.model
     out = [ca.SX(0) for _ in terms.members]
     for e in model.energies:
-        out[member(terms.members, e.owner)] += e.expr
+        out[terms.member(e.owner)] += e.expr
     for pair in model.closed:
-        out[member(terms.members, pair.owner)] += pair.hamiltonian
+        out[terms.member(pair.owner)] += pair.hamiltonian
     return out
