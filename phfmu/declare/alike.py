@@ -85,5 +85,16 @@ class _Reading:
 
     def equations(self) -> str:
         """All expressions as one function of their symbols, in the order in which they are met."""
-        symbols = ca.symvar(ca.veccat(time, *self._exprs))
-        return sha256(ca.Function("equations", symbols, self._exprs).serialize().encode()).hexdigest()
+        shapes = [(e.shape, e.sparsity().get_triplet()) for e in self._exprs if e.numel() != 1 or e.nnz() != 1]
+        whole = _stacked([time, *self._exprs])
+        symbols = _stacked(ca.symvar(whole))
+        text = ca.Function("equations", [symbols], [whole]).serialize()
+        return sha256(f"{shapes!r}{[e.nnz() for e in self._exprs]!r}{text}".encode()).hexdigest()
+
+
+def _stacked(parts: list[ca.SX]) -> ca.SX:
+    """The nonzeros of all parts as one column, joined by hundreds: all at once take time quadratic in their number."""
+    columns = [p.nz[:] for p in parts]
+    while len(columns) > 1:
+        columns = [ca.vertcat(*columns[i : i + 100]) for i in range(0, len(columns), 100)]
+    return columns[0]

@@ -47,10 +47,11 @@ def prepare(terms: Terms) -> Terms:
     require_velocities(terms, shifted)
     light = light_velocities(terms, shifted, mass)
     new = []
+    known: dict[tuple, Term] = {}
     for t in terms.terms:
         if t.kind is CONSTRAINT:
             velocities = [velocity[q] for q in t.index[Value.STATE]]
-            t = _with_masses(t, [mass.get(v) for v in velocities], np.array([v in light for v in velocities]))
+            t = _with_masses(t, [mass.get(v) for v in velocities], np.array([v in light for v in velocities]), known)
         elif t.kind is MASS and t.rows[0].index in light:
             t = replace(t, key=(Weight.LIGHT, t.key), form=Weight.LIGHT)
         new.append(t)
@@ -78,26 +79,25 @@ def _acted_on(terms: Terms, kept: Sequence[Term]) -> list[float]:
     return [*values, *([1.0] if unit else [])]
 
 
-def _with_masses(term: Term, masses: list[Term | None], light: NDArray[np.bool_]) -> Term:
-    """The constraint with the mass expressions as data, its parameters extended by theirs (None = unit mass)."""
-    symbols, index, data = [term.symbols(Value.PARAMETER)], list(term.indices(Value.PARAMETER)), []
-    for m in masses:
-        local = EMPTY if m is None else m.symbols(Value.PARAMETER)
-        fresh = ca.SX.sym("p", local.numel())
-        value = ca.SX(1) if m is None else m.data["m"]
-        data.append(ca.substitute([value], [local], [fresh])[0] if local.numel() else value)
-        symbols.append(fresh)
-        index += [] if m is None else list(m.indices(Value.PARAMETER))
+def _with_masses(term: Term, masses: list[Term | None], light: NDArray[np.bool_], known: dict[tuple, Term]) -> Term:
+    """The constraint with the mass expressions as data, its parameters extended by theirs (None = unit mass).
+
+    `known`: by key, what its expressions are, so that they are made once per kind.
+    """
     key = ("masses", term.key, tuple(None if m is None else m.key for m in masses), tuple(light.tolist()))
-    p = ca.vertcat(*symbols)
-    local = term.local | ({Value.PARAMETER: p} if p.numel() else {})
-    return replace(
-        term,
-        key=key,
-        local=local,
-        index=term.index | {Value.PARAMETER: tuple(index)},
-        data=term.data | {"mass": data, "light": light},
-    )
+    if key not in known:
+        symbols, data = [term.symbols(Value.PARAMETER)], []
+        for m in masses:
+            local = EMPTY if m is None else m.symbols(Value.PARAMETER)
+            fresh = ca.SX.sym("p", local.numel())
+            value = ca.SX(1) if m is None else m.data["m"]
+            data.append(ca.substitute([value], [local], [fresh])[0] if local.numel() else value)
+            symbols.append(fresh)
+        p = ca.vertcat(*symbols)
+        local = term.local | ({Value.PARAMETER: p} if p.numel() else {})
+        known[key] = replace(term, key=key, local=local, data=term.data | {"mass": data, "light": light})
+    index = [*term.indices(Value.PARAMETER), *(i for m in masses if m is not None for i in m.indices(Value.PARAMETER))]
+    return replace(known[key], rows=term.rows, owner=term.owner, index=term.index | {Value.PARAMETER: tuple(index)})
 
 
 def is_light(term: Term) -> bool:

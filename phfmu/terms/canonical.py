@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
@@ -19,6 +20,8 @@ class Locator:
     """The place of each scalar symbol of a model, by its element hash."""
 
     def __init__(self, model: PHDAE, pairs: Sequence[Pair]):
+        #: what was made of expressions, by their form: once per kind
+        self.known: dict[Hashable, Any] = {}
         self.where: dict[int, ValueAt] = {time.element_hash(): ValueAt(Value.TIME, 0)}
         owners = ((Value.STATE, model.states), (Value.ALGEBRAIC, model.algebraics), (Value.PARAMETER, model.parameters))
         for kind, variables in owners:
@@ -32,7 +35,7 @@ class Locator:
     def also(self, symbols: ca.SX, kind: Value, indices: Iterable[int]) -> Locator:
         """This locator with the entries of `symbols` besides."""
         out = Locator.__new__(Locator)
-        out.where = dict(self.where)
+        out.where, out.known = dict(self.where), self.known
         for s, i in zip(ca.vertsplit(symbols), indices, strict=True):
             out.where[s.element_hash()] = ValueAt(kind, i)
         return out
@@ -53,29 +56,83 @@ class Locator:
         return [self.find(s, variable.name) for s in ca.vertsplit(variable.sx)]
 
 
+@dataclass(frozen=True)
+class Reading:
+    """Expressions read as a function of their symbols, kind by kind.
+
+    `form`: equal for expressions that differ in their symbols only;  `symbols`, `index`: per kind of value, in the order in
+    which they are met.
+    """
+
+    form: Hashable
+    symbols: dict[Value, list[ca.SX]]
+    index: dict[Value, tuple[int, ...]]
+
+
+def read(exprs: Sequence[ca.SX], locator: Locator, context: str, extra: Sequence[ca.SX] = ()) -> Reading:
+    """The form of `exprs` and where their symbols live; `extra` symbols (scalars) are listed first even if they do not occur."""
+    found: dict[Value, dict[int, ca.SX]] = {}
+    alone = len(exprs) == 1 and exprs[0].is_symbolic() and exprs[0].is_scalar()
+    for s in [*extra, *(exprs if alone else ca.symvar(ca.veccat(*exprs)))]:
+        at = locator.find(s, context)
+        found.setdefault(at.kind, {}).setdefault(at.index, s)
+    found = {kind: found[kind] for kind in Value if kind in found}
+    symbols = {kind: list(of.values()) for kind, of in found.items()}
+    index = {kind: tuple(of) for kind, of in found.items()}
+    counts = tuple((kind, len(of)) for kind, of in symbols.items())
+    if alone:  # a mass, a state that is observed
+        at = locator.find(exprs[0], context)
+        return Reading((counts, at.kind, index[at.kind].index(at.index)), symbols, index)
+    f = ca.Function("f", [ca.vertcat(*of) for of in symbols.values()], exprs)
+    shapes = tuple((*e.shape, *map(tuple, e.sparsity().get_triplet())) if e.numel() != 1 else e.nnz() for e in exprs)
+    return Reading((counts, shapes, _operations(f)), symbols, index)
+
+
+def _operations(f: ca.Function) -> tuple[Hashable, ...]:
+    """The operations of a function, one after another, with their places and constants."""
+    out: list[Hashable] = []
+    for k in range(f.n_instructions()):
+        op = f.instruction_id(k)
+        if op == ca.OP_CONST:
+            out.append((float(f.instruction_constant(k)).hex(), *f.instruction_output(k)))
+        else:
+            out.append((op, *f.instruction_input(k), -1, *f.instruction_output(k)))
+    return tuple(out)
+
+
 def canonical(exprs: Sequence[ca.SX], locator: Locator, context: str, extra: Sequence[ca.SX] = ()) -> tuple:
     """Replace the symbols of `exprs` by pool symbols; returns (new exprs, key, local symbols, indices).
 
-    `extra` symbols (scalars) are listed first even if they do not occur.
+    `extra` symbols (scalars) are listed first even if they do not occur.  Expressions of one form share the pool.
     """
-    symbols: list[ca.SX] = []
-    seen: set[int] = set()
-    for s in [*extra, *ca.symvar(ca.vertcat(*(ca.vec(e) for e in exprs)))]:
-        if s.element_hash() not in seen:
-            seen.add(s.element_hash())
-            symbols.append(s)
-    by_kind: dict[Value, list[tuple[ca.SX, int]]] = {kind: [] for kind in Value}
-    for s in symbols:
-        found = locator.find(s, context)
-        by_kind[found.kind].append((s, found.index))
-    by_kind = {kind: found for kind, found in by_kind.items() if found}
-    local = {kind: ca.SX.sym(kind.value, len(found)) for kind, found in by_kind.items()}
-    index = {kind: tuple(i for _, i in found) for kind, found in by_kind.items()}
-    olds = [s for found in by_kind.values() for s, _ in found]
-    news = [local[kind][j] for kind, found in by_kind.items() for j in range(len(found))]
-    replaced = ca.substitute([ca.SX(e) for e in exprs], olds, news) if olds else [ca.SX(e) for e in exprs]
-    text = ca.Function("f", list(local.values()), replaced, {"allow_free": True}).serialize()
-    return replaced, (tuple((kind, len(v)) for kind, v in index.items()), text), local, index
+    exprs = [ca.SX(e) for e in exprs]
+    found = read(exprs, locator, context, extra)
+    known = locator.known.get(found.form)
+    if known is None:
+        local = {kind: ca.SX.sym(kind.value, len(of)) for kind, of in found.symbols.items()}
+        olds = [s for of in found.symbols.values() for s in of]
+        news = [local[kind][j] for kind, of in found.symbols.items() for j in range(len(of))]
+        replaced = ca.substitute(exprs, olds, news) if olds else exprs
+        text = ca.Function("f", list(local.values()), replaced, {"allow_free": True}).serialize()
+        key = (tuple((kind, len(of)) for kind, of in found.symbols.items()), text)
+        known = locator.known[found.form] = (replaced, key, local)
+    return *known, found.index
+
+
+def alike(given: Sequence[ca.SX], locator: Locator, context: str, make: Callable[[], Term]) -> Term:
+    """A term that follows from `given` alone: made once per form of these, then placed where their symbols are.
+
+    Its rows and owner are those of the term that was made.
+    """
+    found = read(given, locator, context)
+    known = locator.known.get((make.__name__, found.form))
+    if known is None:
+        term = make()
+        places = {kind: [found.index[kind].index(i) for i in of] for kind, of in term.index.items()}
+        locator.known[make.__name__, found.form] = term, places
+        return term
+    term, places = known
+    return replace(term, index={kind: tuple(found.index[kind][j] for j in of) for kind, of in places.items()})
 
 
 def make_term(

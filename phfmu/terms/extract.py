@@ -10,7 +10,7 @@ import casadi as ca
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.variable import Value, time
-from phfmu.terms.canonical import Locator, make_term, member
+from phfmu.terms.canonical import Locator, make_term
 from phfmu.terms.extract_energy import energies
 from phfmu.terms.extract_flows import blocks, ports
 from phfmu.terms.extract_masses import closed_pairs, masses
@@ -34,7 +34,7 @@ def constraints(model: PHDAE, out: Terms, locator: Locator) -> None:
             rows = [RowAt(Row.EQUATION, at.index), *(drive if ca.depends_on(c.g[j], time) else [])]
             out.terms.append(
                 make_term(CONSTRAINT, {"g": c.g[j]}, locator, f"constraint '{name}'", rows=rows,
-                          owner=member(out.members, c.owner))
+                          owner=out.member(c.owner))
             )  # fmt: skip
     _require_velocities(out)
 
@@ -57,16 +57,15 @@ def extract(model: PHDAE, *, joint: bool = False) -> Terms:
     members = list(model.members)
     free = [p for p in model.ports if p.external]
     rest = [p for p in model.ports if not p.external]
-    pairs = [Pair(p, j, member(members, p.owner)) for p in (*free, *rest) for j in range(p.n)]
     out = Terms(
         model,
         n1=sum(v.n for v in model.states),
         na=sum(v.n for v in model.algebraics),
         np=sum(v.n for v in model.parameters),
-        pairs=pairs,
         nu=sum(p.n for p in free),
         members=members,
     )
+    pairs = out.pairs = [Pair(p, j, out.member(p.owner)) for p in (*free, *rest) for j in range(p.n)]
     locator = Locator(model, pairs)
     for i, pair in enumerate(pairs):
         if pair.port.bound is not None:

@@ -5,6 +5,8 @@ H of every component of a model.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import casadi as ca
 
 from phfmu.declare.energy import Energy, EnergyKind
@@ -13,9 +15,9 @@ from phfmu.declare.operations import degree, piecewise
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.summands import summands
 from phfmu.declare.variable import Value
-from phfmu.terms.canonical import Locator, make_term, member
+from phfmu.terms.canonical import Locator, alike, make_term
 from phfmu.terms.located import Row, RowAt
-from phfmu.terms.term import ENERGY, JOINT, EnergyForm, Terms
+from phfmu.terms.term import ENERGY, JOINT, EnergyForm, Term, Terms
 
 
 def energies(model: PHDAE, out: Terms, locator: Locator, mass: dict[int, ca.SX], joint: bool) -> None:
@@ -30,26 +32,43 @@ def energies(model: PHDAE, out: Terms, locator: Locator, mass: dict[int, ca.SX],
         states = _states_of(e.expr, locator)
         if not states:  # a constant moves nothing
             continue
-        _require_kind(model, e, states)
-        scale = ca.vertcat(*(1 / mass.get(i, ca.SX(1)) for _, i in states))
-        exprs = {"H": e.expr, "scale": scale}
-        if e.kind is EnergyKind.QUADRATIC:
-            exprs["z"] = _costates(e.expr, states, mass)
-        form = EnergyForm(e.kind)
-        if e.kind is EnergyKind.STRAIN:
-            c = ca.SX.sym("c")
-            assert e.invariant is not None and e.phi is not None
-            exprs |= {"C": e.invariant, "phi": e.phi(c)}
-            term = make_term(ENERGY, exprs, locator.also(c, Value.INVARIANT, [-1]), "energy", rows=_balances(states),
-                             owner=member(out.members, e.owner), extra=[*(s for s, _ in states), c], form=form)  # fmt: skip
-            out.terms.append(term)
+        owner = out.member(e.owner)
+        if e.kind is not EnergyKind.QUADRATIC:
+            _require_kind(model, e, states)
+            out.terms.append(_bent(e, out, locator, mass, states, owner))
             continue
-        if e.kind is EnergyKind.GENERAL:
-            chosen = {at.index for v in e.correct for at in locator.of(v)} or {i for _, i in states}
-            nominal = out.state_nominals
-            form = EnergyForm(e.kind, tuple((i in chosen) / nominal[i] ** 2 for _, i in states))
-        out.terms.append(make_term(ENERGY, exprs, locator, "energy", rows=_balances(states),
-                                   owner=member(out.members, e.owner), extra=[s for s, _ in states], form=form))  # fmt: skip
+
+        def quadratic(e: Energy = e, states: list[tuple[ca.SX, int]] = states) -> Term:
+            _require_kind(model, e, states)
+            exprs = {"H": e.expr, "scale": _scale(states, mass), "z": _costates(e.expr, states, mass)}
+            return make_term(ENERGY, exprs, locator, "energy", rows=_balances(states), extra=[s for s, _ in states],
+                             form=EnergyForm(e.kind))  # fmt: skip
+
+        term = alike([e.expr, *(mass.get(i, ca.SX(1)) for _, i in states)], locator, "energy", quadratic)
+        out.terms.append(replace(term, rows=tuple(_balances(states)), owner=owner))
+
+
+def _scale(states: list[tuple[ca.SX, int]], mass: dict[int, ca.SX]) -> ca.SX:
+    """1 / m of each state."""
+    return ca.vertcat(*(1 / mass.get(i, ca.SX(1)) for _, i in states))
+
+
+def _bent(
+    e: Energy, out: Terms, locator: Locator, mass: dict[int, ca.SX], states: list[tuple[ca.SX, int]], owner: int
+) -> Term:
+    """The term of an energy that is not quadratic: of a strain with its law, or a general one with its metric."""
+    exprs = {"H": e.expr, "scale": _scale(states, mass)}
+    symbols = [s for s, _ in states]
+    if e.kind is EnergyKind.STRAIN:
+        c = ca.SX.sym("c")
+        assert e.invariant is not None and e.phi is not None
+        exprs |= {"C": e.invariant, "phi": e.phi(c)}
+        return make_term(ENERGY, exprs, locator.also(c, Value.INVARIANT, [-1]), "energy", rows=_balances(states),
+                         owner=owner, extra=[*symbols, c], form=EnergyForm(e.kind))  # fmt: skip
+    chosen = {at.index for v in e.correct for at in locator.of(v)} or {i for _, i in states}
+    nominal = out.state_nominals
+    form = EnergyForm(e.kind, tuple((i in chosen) / nominal[i] ** 2 for _, i in states))
+    return make_term(ENERGY, exprs, locator, "energy", rows=_balances(states), owner=owner, extra=symbols, form=form)
 
 
 def _require_kind(model: PHDAE, e: Energy, states: list[tuple[ca.SX, int]]) -> None:
@@ -75,10 +94,9 @@ def _joint(model: PHDAE, out: Terms, locator: Locator, mass: dict[int, ca.SX], g
     states = _states_of(total, locator)
     if not states:
         return
-    scale = ca.vertcat(*(1 / mass.get(i, ca.SX(1)) for _, i in states))
-    exprs = {"H": total, "scale": scale, "z": _costates(total, states, mass)}
+    exprs = {"H": total, "scale": _scale(states, mass), "z": _costates(total, states, mass)}
     out.terms.append(make_term(JOINT, exprs, locator, "energy",
-                               rows=_balances(states), owner=member(out.members, group[0].owner),
+                               rows=_balances(states), owner=out.member(group[0].owner),
                                extra=[s for s, _ in states]))  # fmt: skip
 
 
@@ -103,6 +121,20 @@ def divided(gradient: ca.SX, m: ca.SX) -> ca.SX:
     return gradient / m
 
 
+def all_divided(gradients: ca.SX, masses: list[ca.SX]) -> list[ca.SX]:
+    """The entries of a column `divided` by their masses; those that are products with a symbol m of their own, all at once."""
+    symbols = {m.element_hash(): m for m in masses if m.is_symbolic()}
+    if len(symbols) > 1 and all(m.is_symbolic() for m in masses):
+        m, place = ca.vertcat(*symbols.values()), {key: j for j, key in enumerate(symbols)}
+        f = ca.jtimes(gradients, m, ca.DM.ones(m.numel()))
+        row, col = ca.jacobian_sparsity(gradients, m).get_triplet()
+        own = all(place[masses[r].element_hash()] == c for r, c in zip(row, col, strict=True))
+        left = ca.substitute(gradients, m, ca.SX.zeros(m.numel(), 1))
+        if own and not ca.jacobian_sparsity(f, m).nnz() and all(e.is_zero() for e in ca.vertsplit(left)):
+            return ca.vertsplit(ca.densify(f))
+    return [divided(g, m) for g, m in zip(ca.vertsplit(gradients), masses, strict=True)]
+
+
 def _states_of(expr: ca.SX, locator: Locator) -> list[tuple[ca.SX, int]]:
     found = []
     for s in ca.symvar(expr):
@@ -121,7 +153,7 @@ def component_energies(terms: Terms) -> list[ca.SX]:
     model = terms.model
     out = [ca.SX(0) for _ in terms.members]
     for e in model.energies:
-        out[member(terms.members, e.owner)] += e.expr
+        out[terms.member(e.owner)] += e.expr
     for pair in model.closed:
-        out[member(terms.members, pair.owner)] += pair.hamiltonian
+        out[terms.member(pair.owner)] += pair.hamiltonian
     return out

@@ -13,7 +13,7 @@ from phfmu.declare.error import DeclarationError
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import Port
 from phfmu.declare.variable import Value, Variable, VariableKind, _sx
-from phfmu.terms.canonical import Locator, components, make_term, member, scalars
+from phfmu.terms.canonical import Locator, components, make_term, scalars
 from phfmu.terms.located import EFFORT_OF, ROW_OF, Constant, Row, RowAt, ValueAt
 from phfmu.terms.term import FLOW, SOURCE, Terms
 
@@ -87,7 +87,7 @@ def _labelled(model: PHDAE, out: Terms, locator: Locator, b: Block, what: str) -
             "make it as large as its variables and ports",
             "shape",
         )
-    return _Labelled(b.matrix, rows, z, sources, member(out.members, b.owner), label)
+    return _Labelled(b.matrix, rows, z, sources, out.member(b.owner), label)
 
 
 def _dissipation(out: Terms, locator: Locator, b: _Labelled) -> None:

@@ -10,7 +10,7 @@ from phfmu.declare.error import DeclarationError
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.regular import undetermined
 from phfmu.declare.variable import Value, VariableKind
-from phfmu.terms.canonical import Locator, make_term, member, scalars
+from phfmu.terms.canonical import Locator, make_term, scalars
 from phfmu.terms.located import Row, RowAt
 from phfmu.terms.term import CLOSED, MASS, MASS_BLOCK, Terms
 
@@ -78,6 +78,6 @@ def closed_pairs(model: PHDAE, out: Terms, locator: Locator) -> None:
             exprs |= {"ebar": pair.ebar(x, d), "zbar": pair.zbar(x, d)}
         out.terms.append(
             make_term(CLOSED, exprs, locator.also(d, Value.INCREMENT, where), "closed-form pair",
-                      rows=[RowAt(Row.BALANCE, i) for i in where], owner=member(out.members, pair.owner),
+                      rows=[RowAt(Row.BALANCE, i) for i in where], owner=out.member(pair.owner),
                       extra=[*ca.vertsplit(x), *ca.vertsplit(d)])
         )  # fmt: skip

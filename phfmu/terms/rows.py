@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 
 import casadi as ca
 
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.variable import Value, time
-from phfmu.terms.extract_energy import divided
+from phfmu.terms.extract_energy import all_divided
 from phfmu.terms.hidden import Check, Hidden, Level
 from phfmu.terms.located import Row
 from phfmu.terms.term import CLOSED, CONSTRAINT, FLOW, MASS, Term, Terms
@@ -80,14 +81,14 @@ def check_rows(terms: Terms, checks: list[Check], z: ca.SX | None = None) -> lis
     position = {c.row: n for n, c in enumerate(checks) if c.level is Level.POSITION}
     rows = row_expressions(terms, hidden.rows, z)
     out, velocity = [ca.SX(0) for _ in checks], velocity_of(terms)
+    levels: dict[tuple, tuple[dict[Value, ca.SX], list[ca.SX]]] = {}
     for t in terms.of(CONSTRAINT):
-        g = t.data["g"]
-        exprs = [
-            g,
-            ca.gradient(g, t.local[Value.STATE]),
-            ca.gradient(g, t.local[Value.TIME]) if Value.TIME in t.local else ca.SX(0),
-        ]
-        value, grad, moving = ca.substitute(exprs, *_globals(t, x, z, p, a, terms.bound))
+        if t.key not in levels:  # once per kind: g, Dg and what moves it; their symbols are those of this term
+            g, q = t.data["g"], t.local[Value.STATE]
+            moving = ca.gradient(g, t.local[Value.TIME]) if Value.TIME in t.local else ca.SX(0)
+            levels[t.key] = t.local, [g, ca.gradient(g, q), moving]
+        local, exprs = levels[t.key]
+        value, grad, moving = ca.substitute(exprs, *_globals(replace(t, local=local), x, z, p, a, terms.bound))
         v = ca.vertcat(*(z[velocity[i]] for i in t.index[Value.STATE]))
         rows[t.rows[0].index] += ca.dot(grad, v) + moving
         if t.rows[0].index in position:
@@ -118,17 +119,20 @@ def costates(terms: Terms) -> ca.SX:
     model = terms.model
     z = ca.densify(ca.gradient(model.hamiltonian, model.x)) if terms.n1 else ca.SX(0, 1)
     p = ca.vertcat(*(v.sx for v in model.parameters))
-    for t in terms.terms:
-        if t.kind is MASS:
-            local = t.symbols(Value.PARAMETER)
-            m = t.data["m"]
-            if local.numel():
-                (m,) = ca.substitute([m], [local], [p[list(t.index[Value.PARAMETER])]])
-            z[t.rows[0].index] = divided(z[t.rows[0].index], m)
-        elif t.kind is CLOSED:
-            value = ca.substitute([t.data["z"]], *_globals(t, model.x, z, p, ca.SX(0, 1), {}))[0]
-            for j, r in enumerate(t.rows):
-                z[r.index] = value[j]
+    where, masses = [], []
+    for t in terms.of(MASS):
+        local, m = t.symbols(Value.PARAMETER), t.data["m"]
+        if local.numel():
+            own = p[list(t.index[Value.PARAMETER])]
+            m = own if m.is_symbolic() else ca.substitute([m], [local], [own])[0]
+        where.append(t.rows[0].index)
+        masses.append(m)
+    if where:
+        z[where] = ca.vertcat(*all_divided(z[where], masses))
+    for t in terms.of(CLOSED):
+        value = ca.substitute([t.data["z"]], *_globals(t, model.x, z, p, ca.SX(0, 1), {}))[0]
+        for j, r in enumerate(t.rows):
+            z[r.index] = value[j]
     return z
 
 

@@ -136,6 +136,14 @@ class Terms:
         """States of blocks of E: their costates solve E^T z = grad H."""
         return [r.index for t in self.of(MASS_BLOCK) for r in t.rows]
 
+    def member(self, owner: str) -> int:
+        """Place of the member `owner`, 0 for none."""
+        return self._places.get(owner, 0)
+
+    @cached_property
+    def _places(self) -> dict[str, int]:
+        return {name: i for i, name in enumerate(self.members)}
+
     @cached_property
     def state_names(self) -> list[str]:
         return [n for v in self.model.states for n in v.names()]
