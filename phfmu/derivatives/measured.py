@@ -66,7 +66,7 @@ OPERATORS: dict[type, Callable[[Any, Any], Any]] = {
     ast.Div: lambda a, b: a / b,
     ast.Pow: lambda a, b: a**b,
 }
-_NAME = re.compile(r"(?<![\w.])[A-Za-z_]\w*(?:\.\w+)*(?:\[\d+(?:,\d+)*\])?(?!\s*\()")
+_NAME = re.compile(r"(?<![\w.])[A-Za-z_]\w*(?:\.\w+)*(?:\[\d+(?:,\d+)*\])?(?![\w.\[])(?!\s*\()")
 
 
 def expression(text: str, signals: Sequence[str]) -> Expression:

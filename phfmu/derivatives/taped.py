@@ -82,7 +82,7 @@ class TapedSteps(DerivedSteps):
         self.memory = memory
         #: stretches that had to be run again on the way back
         self.again = 0
-        self._legs: list[Leg] = []
+        self.legs: list[Leg] = []
         self._quantities = {q.name: q for q in quantities(model)}
         self._instants = False
 
@@ -91,7 +91,7 @@ class TapedSteps(DerivedSteps):
         self._instants = any(self._quantities[n].block in OF_INSTANT for n in signals)
 
     def cut(self, name: str) -> None:
-        self._legs[-1].cuts.append(name)
+        self.legs[-1].cuts.append(name)
 
     def read(self) -> Array:
         if not self.begun:
@@ -103,13 +103,18 @@ class TapedSteps(DerivedSteps):
     def ran(self, instance: Any, t0: float, h: float, n: int, first: int, inputs: Array | None) -> Steps:
         self.require_continued(t0 + first * h)
         given = None if inputs is None else np.ascontiguousarray(inputs, float)
-        row = 1 + sum(leg.n for leg in self._legs)
+        row = 1 + sum(leg.n for leg in self.legs)
         leg = Leg(instance.get_state(), t0, h, n, first, given, self._inputs.u.copy(), instance.parameters.copy(), row)
         record, leg.kept = self._take(leg, self.wanted(instance))
         leg.end = self._last = instance.x[: self.model.step.nx].copy()
-        self._legs.append(leg)
+        self.legs.append(leg)
         self._forget()
         return self.steps_of(instance, record)
+
+    def taken_again(self, leg: Leg, instants: bool = False) -> Kept:
+        """The parts of the steps of a leg once more; with `instants` values at the ends of its steps too."""
+        self.instance.set_state(leg.state)
+        return self._take(leg, ("signals",) if instants else ())[1]
 
     def _take(self, leg: Leg, wanted: tuple[str, ...]) -> tuple[dict[str, Array], Kept]:
         """The steps of a leg, from its state on."""
@@ -126,7 +131,7 @@ class TapedSteps(DerivedSteps):
 
     def _forget(self) -> None:
         """Within the memory: tapes of the first stretches go."""
-        kept = [leg for leg in self._legs if leg.kept is not None]
+        kept = [leg for leg in self.legs if leg.kept is not None]
         size = sum(leg.kept.size for leg in kept if leg.kept is not None)
         for leg in kept[:-1]:
             if size <= self.memory:
@@ -143,7 +148,7 @@ class TapedSteps(DerivedSteps):
         """
         bars = _AllBars(self.model, [{self._quantities[s]: c for s, c in w.items()} for w in weights])
         back, end = NativeReverse(self.model, self.instance._made, len(weights)), self.instance.get_state()
-        for leg in reversed(self._legs):
+        for leg in reversed(self.legs):
             self._cut(leg, back)
             self._back(leg, back, bars)
         self.instance.set_state(end)
@@ -173,8 +178,7 @@ class TapedSteps(DerivedSteps):
         kept = leg.kept
         if kept is None:
             self.again += 1
-            self.instance.set_state(leg.state)
-            kept = self._take(leg, () if instants is None else ("signals",))[1]
+            kept = self.taken_again(leg, instants is not None)
         ends, rows = leg.starts + leg.h, kept.rows
         step = np.clip(np.searchsorted(ends, rows[:, 0] + 0.5 * rows[:, 1]), 0, leg.n - 1)
         if instants is not None:
