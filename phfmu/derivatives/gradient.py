@@ -31,8 +31,9 @@ from phfmu.signals import derivative_name
 Array = NDArray[np.float64]
 Mode = Literal["auto", "forward", "reverse"]
 
-#: a name costs forward about as much as so many measures cost backwards in compiled code (measured on smib and ladder)
-NAME_COST = 4
+#: what goes forward costs, in measures that go backwards in compiled code (measured on smib and ladder): the linearisations of a
+#: run, which NumPy solves, and each name
+LINEARISED, NAMED = 50, 2
 
 
 @dataclass(frozen=True)
@@ -100,4 +101,4 @@ def _chosen(mode: Mode, instance: Any, measures: int, names: int) -> str:
         raise ValueError("derivatives go backwards in compiled code only; take a NativeInstance, or mode forward")
     if mode != "auto":
         return mode
-    return "reverse" if native and measures <= NAME_COST * names else "forward"
+    return "reverse" if native and measures <= LINEARISED + NAMED * names else "forward"

@@ -92,6 +92,8 @@ void ph_back(ph_reverse *r, ph_system *s, const double *stored, const double *lo
         group_back(r, s, &p->groups[l], yb + p->nv, pb);
 }
 
+#define NOTHING 1e-290 /* bars this small have lost digits: of a measure that does not follow any longer */
+
 /* to = b - A^T l; the largest part of the sums of a column that is left of it, and of those of all columns.
  */
 static double rest_of(const ph_system *s, const double *b, const double *l, double *to, double *whole) {
@@ -110,7 +112,7 @@ static double rest_of(const ph_system *s, const double *b, const double *l, doub
         left = fmax(left, fabs(sum));
         size = fmax(size, all);
     }
-    *whole = left > 0.0 ? left / size : 0.0;
+    *whole = left > NOTHING ? left / size : 0.0;
     return most;
 }
 
