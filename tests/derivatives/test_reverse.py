@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from random import Random
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,9 @@ from phfmu.components.library import build
 from phfmu.derivatives.measured import RunMeasure, SumOfSquares, run_measures
 from phfmu.derivatives.taped import TapedSteps
 from phfmu.network.couplings.monolithic import Monolithic
+from phfmu.network.members.columns import Columns
 from tests.derivatives.differences import richardson
+from tests.derivatives.test_tangents import SCENES
 from tests.wide import wide
 
 pytestmark = pytest.mark.usefixtures("compiler")
@@ -77,6 +80,28 @@ def test_backwards_is_forward(name: str, order: int) -> None:
     sizes = np.array([abs(known(d)[n]) or 1.0 for n in by])
     assert np.abs(forward.slopes).max() > 0
     assert differ(forward.slopes, reverse.slopes, sizes) < 1e-11
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SCENES)
+def test_every_scene_backwards_is_forward(name: str) -> None:
+    """Twenty steps; columns that do not follow a name but by rounding are of no account."""
+    scene = build(name)
+    d = scene.declaration()
+    if d.state_events or d.switches:
+        pytest.skip(f"{name} has state events, which are refused")
+    model = build_model(d)
+    layout = NativeInstance(model).layout
+    by = Random(2).sample([n for n in known(d) if n not in d.modes], 6)
+    columns = [c for c in Columns(model, layout).names if not c.startswith("constraint.")]
+    columns = Random(3).sample([c for c in columns if not c.endswith((".residual", ".gap"))], 8)
+    of = [f"{kind}({c})" for c in columns for kind in ("last", "mean")]
+    events = tuple(e for e in scene.events if e.t < 20 * scene.step)
+    options = Options(stop=20 * scene.step, step=scene.step, events=events, project=True)
+    a, b = (gradient(model, NativeInstance(model), options, of, by, mode=m) for m in ("forward", "reverse"))
+    sizes = np.array([abs(known(d)[n]) or 1.0 for n in by])
+    rounding = np.abs(a.slopes * sizes).max(axis=1) <= 1e-10 * np.abs(a.values) + 1e-12
+    assert differ(a.slopes[~rounding], b.slopes[~rounding], sizes) < 1e-11
 
 
 def differences(
