@@ -167,7 +167,8 @@ def table(cases: Sequence[Case] = CASES, progress: Callable[[str], None] = lambd
 
 PAGE = """# Gradients
 
-The derivative of one number of a run by all parameters, all start values and all held inputs at once, backwards: CPU time of a
+The derivative of one number of a run by all parameters, all start values and all
+[held inputs](../understand/glossary.md#held) at once, backwards: CPU time of a
 step of the run with all columns off, of the same run with its tape written, and of a step of the way back. `gradient/run` is
 what the whole gradient costs, run included, in runs; it does not depend on how many parameters there are.
 
