@@ -119,7 +119,6 @@ class Bars:
     u: Floats
     pairs: Floats
     lost: Floats
-    h: Floats
 
 
 @dataclass(frozen=True)
@@ -154,7 +153,7 @@ class NativeReverse:
         self._in = self._lib.ph_reverse_init(self._room.ctypes.data, *about)
         plan, width = model.step, self._lib.ph_reverse_width(made.tables.pointer)
         values = view(self._lib.ph_reverse_bars(self._in), n * width).reshape(n, width)
-        ends = np.cumsum([plan.nx + 1, plan.np, plan.nu, plan.nq, plan.ncomp]).tolist()
+        ends = np.cumsum([plan.nx + 1, plan.np, plan.nu, plan.nq]).tolist()
         self.bars = Bars(*np.split(values, ends, axis=1))
         self.n = n
 

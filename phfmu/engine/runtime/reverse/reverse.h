@@ -26,7 +26,6 @@ typedef struct ph_bars {
     double *u;     /* nu: held inputs */
     double *pairs; /* nq: energies through pairs since the start */
     double *lost;  /* ncomp: dissipated energies since the start */
-    double *h;     /* 1: length of the step that was gone back last */
 } ph_bars;
 
 /* Bars of what a row of a run tells, for one measure: [x nx | a na | y_step nq | energy nq | dissipated

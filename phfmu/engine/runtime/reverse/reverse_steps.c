@@ -12,13 +12,12 @@ static ph_bars bars_of(const ph_reverse *r, int measure) {
     b.u = b.p + p->np;
     b.pairs = b.u + p->nu;
     b.lost = b.pairs + p->nq;
-    b.h = b.lost + p->ncomp;
     return b;
 }
 
 int ph_reverse_width(const ph_model *model) {
     const ph_plan *p = model->step;
-    return p->nx + 1 + p->np + p->nu + p->nq + p->ncomp + 1;
+    return p->nx + 1 + p->np + p->nu + p->nq + p->ncomp;
 }
 
 /* The part of a tape's row becomes the point of the system of steps; its matrix and factor. */
