@@ -2,38 +2,49 @@
 
     max(gen.w) by gen.J:   d(gen.w)/d(gen.J) at the row of the largest value
 
-A measure is one of a sweep: first, last, min, max, peak, mean or rms of a signal, columns of the ledger included
-(`last(energy.dissipated)`).  Extremes are those of the rows; where two are as large, the first one counts.
+Forward, the tangents of all columns go along with the steps (`sensitive.py`), at a cost for each name; backwards, the bars of the
+measures go back over the tape of the run (`taped.py`), at a cost for each measure, whatever the number of names.  Both are the
+derivative of the same steps.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from phfmu.derivatives.by import By
+from phfmu.derivatives.measured import RunMeasure, run_measures
 from phfmu.derivatives.sensitive import SensitiveSteps
+from phfmu.derivatives.tangents import require_smooth
+from phfmu.derivatives.taped import MEMORY, TapedSteps
 from phfmu.discretise.model import Model
+from phfmu.engine.native.native import NativeInstance
 from phfmu.network.members.columns import Columns
 from phfmu.runs.loop import run
 from phfmu.runs.options import Options
 from phfmu.signals import derivative_name
-from phfmu.sweeps.measures import Measure, mean, measures
 
 Array = NDArray[np.float64]
+Mode = Literal["auto", "forward", "reverse"]
+
+#: what goes forward costs, in measures that go backwards in compiled code (measured on smib and ladder): the linearisations of a
+#: run, which NumPy solves, and each name
+LINEARISED, NAMED = 50, 2
 
 
 @dataclass(frozen=True)
 class Gradient:
-    """Values of the measures, and their derivatives `slopes` (measures x names)."""
+    """Values of the measures, and their derivatives `slopes` (measures x names); `mode`: forward or reverse."""
 
     measures: tuple[str, ...]
     names: tuple[str, ...]
     values: Array
     slopes: Array
+    mode: str
 
     def by(self, measure: str, name: str) -> float:
         """One derivative; ValueError for a measure or name that was not asked for."""
@@ -41,48 +52,53 @@ class Gradient:
 
 
 def gradient(
-    model: Model, instance: Any, options: Options, of: Sequence[str], by: Sequence[str], inputs: Any = None
+    model: Model,
+    instance: Any,
+    options: Options,
+    of: Sequence[str | RunMeasure],
+    by: Sequence[str],
+    inputs: Any = None,
+    *,
+    mode: Mode = "auto",
+    memory: int = MEMORY,
 ) -> Gradient:
-    """Derivatives of measures `of` a run (`max(gen.w)`, `rms(*.i)`) by the names `by`.
+    """Derivatives of measures `of` a run (`max(gen.w)`, `integral(line.i^2)`, `energy.dissipated@end`) by the names `by`.
 
     options:  of the run, with its events;  inputs: data over time, as of `run`
+    mode:  forward (tangents), reverse (adjoint, native instances), or auto, the one that costs less
+    memory:  bytes that the tape may take backwards; stretches of steps beyond it are run twice
     Errors: ValueError for measures that are none, or have no derivative (the time of an extreme is that of a row); those of
-    `SensitiveSteps`.
+    `SensitiveSteps`; NoDerivative, with its time.
     """
-    wanted = measures(of, Columns(model, instance.layout).names)
-    if times := [m for m in wanted if m.kind not in SLOPES]:
-        raise ValueError(f"{times[0]} is the time of a row, which does not move; measures: {', '.join(SLOPES)}")
-    signals = list(dict.fromkeys(m.signal for m in wanted))
-    stepper = SensitiveSteps(model, instance, by, signals)
-    names = stepper.by.names
-    found = run(stepper, replace(options, signals=stepper.columns, every=None), inputs=inputs)
-    values = np.array([m.of(found.time, found.column(m.signal)) for m in wanted])
-    slopes = np.array([[_slope(m, found, n) for n in names] for m in wanted]).reshape(len(wanted), len(names))
-    return Gradient(tuple(map(str, wanted)), names, values, slopes)
+    wanted = run_measures(of, Columns(model, instance.layout).names)
+    names = By.of(model.declaration, by).names
+    chosen = _chosen(mode, instance, len(wanted), len(names))
+    signals = list(dict.fromkeys(n for m in wanted for n in m.signals))
+    options = replace(options, every=None)
+    if chosen == "reverse":
+        require_smooth(model)
+        taped = TapedSteps(model, instance, by, memory)
+        taped.needs(signals)
+        found = run(taped, replace(options, signals=signals), inputs=inputs)
+        columns = {n: found.column(n) for n in signals}
+        slopes = taped.slopes([m.weights(found.time, columns) for m in wanted])
+    else:
+        stepper = SensitiveSteps(model, instance, by, signals)
+        found = run(stepper, replace(options, signals=stepper.columns), inputs=inputs)
+        columns = {n: found.column(n) for n in signals}
+        along = {s: np.column_stack([found.column(derivative_name(s, n)) for n in names]) for s in signals}
+        weights = [m.weights(found.time, columns) for m in wanted]
+        slopes = np.array([sum((c @ along[s] for s, c in w.items()), np.zeros(len(names))) for w in weights])
+    values = np.array([m.value(found.time, columns) for m in wanted])
+    return Gradient(tuple(map(str, wanted)), names, values, slopes.reshape(len(wanted), len(names)), chosen)
 
 
-def _slope(m: Measure, found: Any, name: str) -> float:
-    v, d = found.column(m.signal), found.column(derivative_name(m.signal, name))
-    return SLOPES[m.kind](found.time, v, d)
-
-
-def _of_rms(t: Array, v: Array, d: Array) -> float:
-    size = np.sqrt(mean(t, v * v))
-    return mean(t, v * d) / size if size else 0.0
-
-
-def _of_peak(_: Array, v: Array, d: Array) -> float:
-    i = int(np.abs(v).argmax())
-    return float(np.sign(v[i]) * d[i])
-
-
-#: kind of measure -> its derivative, of times, values and their derivatives
-SLOPES: dict[str, Callable[[Array, Array, Array], float]] = {
-    "first": lambda t, v, d: float(d[0]),
-    "last": lambda t, v, d: float(d[-1]),
-    "min": lambda t, v, d: float(d[v.argmin()]),
-    "max": lambda t, v, d: float(d[v.argmax()]),
-    "peak": _of_peak,
-    "mean": lambda t, v, d: mean(t, d),
-    "rms": _of_rms,
-}
+def _chosen(mode: Mode, instance: Any, measures: int, names: int) -> str:
+    if mode not in get_args(Mode):
+        raise ValueError(f"mode '{mode}': expected {', '.join(get_args(Mode))}")
+    native = isinstance(instance, NativeInstance)
+    if mode == "reverse" and not native:
+        raise ValueError("derivatives go backwards in compiled code only; take a NativeInstance, or mode forward")
+    if mode != "auto":
+        return mode
+    return "reverse" if native and measures <= LINEARISED + NAMED * names else "forward"

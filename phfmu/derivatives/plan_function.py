@@ -20,6 +20,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from phfmu.derivatives.by import Directions
 from phfmu.plan.buffered import Buffered
 from phfmu.plan.plan import Group, Plan
 
@@ -29,18 +30,6 @@ Array = NDArray[np.float64]
 FULL = 160
 #: numbers that are held at a time, at most
 ROOM = 4_000_000
-
-
-@dataclass(frozen=True)
-class Directions:
-    """Scalars to derive by: places among the parameters, and among the inputs, which are held over a step."""
-
-    parameters: tuple[int, ...]
-    inputs: tuple[int, ...]
-
-    @property
-    def n(self) -> int:
-        return len(self.parameters) + len(self.inputs)
 
 
 @dataclass(frozen=True)

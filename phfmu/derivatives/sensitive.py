@@ -9,20 +9,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.derivatives.tangents import By, Taken, Tangents, of_quantities
+from phfmu.derivatives.derived import DerivedSteps
+from phfmu.derivatives.tangents import Taken, Tangents, of_quantities
 from phfmu.discretise.model import Model
-from phfmu.discretise.start import Projection
-from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.network.members.inputs import Inputs
-from phfmu.network.scene import Event
 from phfmu.outcome.steps import Steps
-from phfmu.schemes.scheme import Scheme
 from phfmu.signals import Quantity, SignalKind, derivative_name, quantities
 
 Array = NDArray[np.float64]
 
 
-class SensitiveSteps(Monolithic):
+class SensitiveSteps(DerivedSteps):
     """Steps of one composed model, each row with its derivatives by parameters, held inputs or start values `by`.
 
     `signals`: which columns are derived (default: all).  Parameters that an event sets count up to there.
@@ -30,17 +27,13 @@ class SensitiveSteps(Monolithic):
     """
 
     def __init__(self, model: Model, instance: Any, by: Sequence[str], signals: Sequence[str] | None = None):
-        super().__init__(model, instance)
-        self.by = By.of(model.declaration, by)
+        super().__init__(model, instance, by)
         known = {q.name: q for q in quantities(model)}
         self.derived: list[Quantity] = [known[n] for n in self.names if signals is None or n in signals]
         self._tangents = Tangents(model, self.by)
         self.names = [*self.names, *(derivative_name(q.name, n) for q in self.derived for n in self.by.names)]
-        #: states after the last step, None before the first one;  derivatives of the last row
-        self._last: Array | None = None
+        #: derivatives of the last row
         self._row = np.zeros(0)
-        #: states that the start was given, before a projection
-        self._given = instance.x[: model.step.nx].copy()
 
     @property
     def columns(self) -> list[str]:
@@ -89,17 +82,8 @@ class SensitiveSteps(Monolithic):
 
     # -- values ------------------------------------------------------------------------------------------------------
 
-    def set_value(self, name: str, value: float) -> str:
-        kind = super().set_value(name, value)
-        if self._last is not None:
-            self._tangents.cut([name])
-        return kind
-
-    def project_start(self, t0: float, kept: Sequence[str] = ()) -> Projection | None:
-        """As of `Monolithic`; ValueError with states that are kept, which the tangents of a start do not know."""
-        if kept and self._last is None:
-            raise ValueError(f"{self.model.name}: derivatives and --keep {kept[0]} do not go together")
-        return super().project_start(t0, kept)
+    def cut(self, name: str) -> None:
+        self._tangents.cut([name])
 
     def read(self) -> Array:
         """Values of `names` now."""
@@ -122,37 +106,12 @@ class SensitiveSteps(Monolithic):
         known = super().wanted(instance)
         return known if "unknowns" in known else (*known, "unknowns")
 
-    def companion(self, scheme: Scheme) -> Any:
-        """ValueError: damping steps and steps of several sizes have no derivatives."""
-        raise ValueError(f"{self.model.name}: derivatives are told of equal steps; leave out --restart and --rtol")
-
-    def advance_with(self, inputs: Sequence[tuple[int, Event]], t0: float, h: float, n: int, first: int = 0) -> Steps:
-        """As of `Monolithic`; ValueError where an input changes that is derived by."""
-        followed = () if self.followed is None else self.followed.names
-        for name in dict.fromkeys([*(e.name for _, e in inputs), *followed]):
-            if clash := [n for n in self.by.names if n == name or n.partition("[")[0] == name]:
-                raise ValueError(
-                    f"{self.model.name}: {clash[0]} is set within the run, by an event or by data, so that there is no one "
-                    "value of it to be derived by"
-                )
-        return super().advance_with(inputs, t0, h, n, first)
-
     def ran(self, instance: Any, t0: float, h: float, n: int, first: int, inputs: Array | None) -> Steps:
-        self._require_continued(t0 + first * h)
+        self.require_continued(t0 + first * h)
         u = self._inputs.u.copy()
         r = instance.run(t0, h, n, record=self.wanted(instance), inputs=inputs, first=first)
         starts = np.asarray(t0 + h * (first + np.arange(n)), np.float64)
         return self._with_derivatives(instance, r, starts, h, u, inputs)
-
-    def _require_continued(self, t: float) -> None:
-        """ValueError where states were moved between two steps."""
-        x = self.instance.x[: self.model.step.nx]
-        if self._last is not None and not np.array_equal(x, self._last):
-            raise ValueError(
-                f"{self.model.name}: states were moved at t = {t:.9g} s (a projection after an event), which derivatives do "
-                "not follow; let the event keep the constraints"
-            )
-        self._last = x.copy()
 
     def _with_derivatives(
         self, instance: Any, r: dict[str, Array], t: Array, h: float, u: Array, inputs: Array | None

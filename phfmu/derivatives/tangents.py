@@ -21,48 +21,12 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.declare.phdae import PHDAE
-from phfmu.derivatives.plan_function import Directions, PlanFunction, Point, Rows
+from phfmu.derivatives.by import By, start_tangents_by
+from phfmu.derivatives.plan_function import PlanFunction, Point, Rows
 from phfmu.discretise.model import Model
 from phfmu.signals import Quantity
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class By:
-    """What a run is derived by: scalar names in their order, each a parameter, an input or the start of a state."""
-
-    names: tuple[str, ...]
-    directions: Directions
-    #: column of each direction, and of the start of each state: (state, column)
-    columns: tuple[int, ...]
-    starts: tuple[tuple[int, int], ...]
-
-    @staticmethod
-    def of(declaration: PHDAE, names: Sequence[str]) -> By:
-        """Vectors stand for all their entries.  KeyError names what is no parameter, input or state."""
-        d = declaration
-        p = [n for v in d.parameters for n in v.names()]
-        u = [n for q in d.ports if q.external and not q.signal for n in q.input_names()]
-        x = [n for v in d.states for n in v.names()]
-        whole = {v.name: v.names() for v in (*d.parameters, *d.states)}
-        whole |= {n.partition("[")[0]: q.input_names() for q in d.ports if q.external for n in q.input_names()}
-        scalars = list(dict.fromkeys(n for name in names for n in whole.get(name, [name])))
-        if lost := [n for n in scalars if n not in (*p, *u, *x)]:
-            raise KeyError(d.unknown_name(lost[0]))
-        if modes := [n for n in scalars if n in d.modes]:
-            raise KeyError(f"{d.name}: '{modes[0]}' is a mode that state events set; there is no derivative by it")
-        of_p, of_u = ([n for n in scalars if n in set(some)] for some in (p, u))
-        directions = Directions(tuple(p.index(n) for n in of_p), tuple(u.index(n) for n in of_u))
-        starts = tuple((x.index(n), scalars.index(n)) for n in scalars if n in set(x))
-        return By(tuple(scalars), directions, tuple(scalars.index(n) for n in (*of_p, *of_u)), starts)
-
-    def spread(self, along: Array) -> Array:
-        """Derivatives by the directions (.. x directions) as such by all names (.. x names)."""
-        found = np.zeros((*along.shape[:-1], len(self.names)))
-        found[..., list(self.columns)] = along
-        return found
 
 
 @dataclass(frozen=True)
@@ -99,8 +63,6 @@ class Taken:
         return Taken(t, h, states, x, r["unknowns"], given.reshape(n, -1), instance.parameters.copy(), a_end)
 
 
-#: steps of differences, of the size of what is moved: the error of the extrapolation and rounding are about 1e-11 there
-DIFFERENCES = (2e-4, 1e-4)
 #: what is told of a step and at an instant, by the block of a row, each one after the other
 OF_STEP, OF_INSTANT = ("a", "y_step", "energy", "dissipated"), ("a_end", "y_end", "observables", "H")
 
@@ -114,8 +76,8 @@ class Tangents:
         step, instant = model.step, model.instant
         self._step = PlanFunction(step, _told_of_step, by.directions)
         self._instant = PlanFunction(instant, _told_of_instant, by.directions)
-        self._of_step = _places(OF_STEP, (step.na, step.nq, step.nq, step.ncomp))
-        self._of_instant = _places(OF_INSTANT, (instant.na, instant.nq, instant.nobs, instant.ncomp))
+        self._of_step = places(OF_STEP, (step.na, step.nq, step.nq, step.ncomp))
+        self._of_instant = places(OF_INSTANT, (instant.na, instant.nq, instant.nobs, instant.ncomp))
         self._U = np.zeros((step.nx, step.nw))
         np.add.at(self._U, (step.update_x, step.update_w), step.update_c)
         self.reset()
@@ -130,31 +92,18 @@ class Tangents:
 
     def cut(self, names: Sequence[str]) -> None:
         """Values of parameters or inputs that are set from now on do not follow those of the start."""
-        for name in names:
-            for i, own in enumerate(self.by.names):
-                if own == name or own.partition("[")[0] == name:
-                    if i in self.by.columns:
-                        self._acts[i] = 0.0
+        for own in (n for name in names for n in self.by.among(name)):
+            i = self.by.names.index(own)
+            if i in self.by.columns:
+                self._acts[i] = 0.0
 
     def at_start(self, t: float, given: Array, x: Array, u: Array, p: Array, a_end: Array) -> dict[str, Array]:
         """Blocks of the first row: name -> (1 x entries x names); `given`: states, of which x is the projection."""
-        self.S, along = self._free(p)
-        if self.model.checks:
-            self.S = _held(self.model, given, x, p, t, self.S, along)
+        self.S = start_tangents_by(self.model, self.by, given, x, p, t)
         found = self._at_instants((np.array([t]), x[None], u[None], p, a_end[None]), self.S[None])
         blocks = {"x": self.S[None].copy(), **found}
         blocks |= {"a": found["a_end"], "y_step": found["y_end"]}
         return self._with_sums(blocks, {n: s[None] for n, s in self._sums.items()})
-
-    def _free(self, p: Array) -> tuple[Array, Array]:
-        """Tangents of the states and of the parameters at a start that nothing holds."""
-        n = len(self.by.names)
-        S, along = np.zeros((self.model.step.nx, n)), np.zeros((len(p), n))
-        for state, column in self.by.starts:
-            S[state, column] = 1.0
-        for parameter, column in zip(self.by.directions.parameters, self.by.columns, strict=False):
-            along[parameter, column] = 1.0
-        return S, along
 
     def over(self, steps: Taken) -> dict[str, Array]:
         """Blocks of the rows at the ends of steps that go on from those before: name -> (n x entries x names)."""
@@ -204,32 +153,6 @@ class Tangents:
         return {name: rows[:, place] for name, place in self._of_instant.items()}
 
 
-def _held(model: Model, given: Array, x: Array, p: Array, t: float, dx: Array, dp: Array) -> Array:
-    """Tangents (nx x n) of a start that is projected onto its constraints, from `given` to x, along dx and dp (np x n).
-
-    Where the projection has moved it, they are differences of projections, extrapolated from two steps.
-    """
-    from phfmu.discretise.start import project_start, start_tangents
-
-    if np.array_equal(given, x):
-        return start_tangents(model, x, p, t, dx, dp)
-    columns = []
-    for along, by in zip(dx.T, dp.T, strict=True):
-        size = max(_size(x, along), _size(p, by)) or 1.0
-        found = []
-        for part in DIFFERENCES:
-            ends = [project_start(model, given + e * along, p=p + e * by, t=t).x for e in (part * size, -part * size)]
-            found.append((ends[0] - ends[1]) / (2 * part * size))
-        columns.append(found[1] + (found[1] - found[0]) / 3.0)
-    return np.column_stack(columns)
-
-
-def _size(values: Array, along: Array) -> float:
-    """How far along a direction a move of the size of the values goes."""
-    moved = along != 0
-    return float(np.max(np.abs(values[moved]) / np.abs(along[moved]), initial=0.0))
-
-
 def of_quantities(quantities: Sequence[Quantity], blocks: dict[str, Array], by: By) -> Array:
     """Derivatives of quantities (n x quantities x names) from those of the blocks."""
     n, width = len(blocks["x"]), len(by.names)
@@ -270,7 +193,8 @@ def _told_of_instant(rows: Rows) -> ca.SX:
     return ca.vertcat(rows.algebraics, rows.outputs, rows.reported, rows.energies(0))
 
 
-def _places(names: Sequence[str], sizes: Sequence[int]) -> dict[str, slice]:
+def places(names: Sequence[str], sizes: Sequence[int]) -> dict[str, slice]:
+    """Where blocks of these sizes are, one after the other."""
     found, start = {}, 0
     for name, size in zip(names, sizes, strict=True):
         found[name] = slice(start, start + size)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from typing import Any
 
 from phfmu.cli.progress import Line
@@ -14,7 +15,8 @@ def add_parser(verbs: Any) -> None:
 
     parser = verbs.add_parser("bench", help="error against run time, beside peers")
     parser.add_argument(
-        "target", help=f"{TARGET} | chain:N, net:N, ladder:N | scaling | orders | leave-out | coupling | sweep"
+        "target",
+        help=f"{TARGET} | chain:N, net:N, ladder:N | scaling | orders | leave-out | coupling | sweep | gradients",
     )
     parser.add_argument("--paper", action="store_true", help="figures, table and statements of the model's paper")
     parser.add_argument(
@@ -45,7 +47,7 @@ def add_parser(verbs: Any) -> None:
         "-o",
         "--output",
         metavar="DIR",
-        help="folder of the files (default: bench); orders, leave-out, coupling, sweep: a file",
+        help="folder of the files (default: bench); orders, leave-out, coupling, sweep, gradients: a file",
     )
     parser.set_defaults(call=call)
 
@@ -58,7 +60,13 @@ def call(args: argparse.Namespace) -> int:
     from phfmu.target import require_known
 
     one_thread()
-    tables = {"orders": _orders, "leave-out": _leave_out, "coupling": _coupling, "sweep": _sweep}
+    tables = {
+        "orders": _orders,
+        "leave-out": _leave_out,
+        "coupling": _coupling,
+        "sweep": _sweep,
+        "gradients": _gradients,
+    }
     require_known(args.target, [*tables, "scaling"])
     if args.target in tables:
         if args.output:
@@ -116,10 +124,22 @@ def _coupling(args: argparse.Namespace) -> int:
 
 
 def _sweep(args: argparse.Namespace) -> int:
+    from phfmu.studies.bench.sweeps import page, table
+
+    return _paged(args, page, table)
+
+
+def _gradients(args: argparse.Namespace) -> int:
+    from phfmu.studies.bench.gradients import page, table
+
+    return _paged(args, page, table)
+
+
+def _paged(args: argparse.Namespace, page: Callable[..., str], table: Callable[..., str]) -> int:
+    """The page as a file, or its table."""
     from pathlib import Path
 
     from phfmu.cli.codes import FINE
-    from phfmu.studies.bench.sweeps import page, table
 
     with Line() as progress:
         text = page(progress) if args.output else table(progress=progress)

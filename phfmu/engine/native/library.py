@@ -147,7 +147,7 @@ def load(path: Path) -> ctypes.CDLL:
 
 
 #: folders of the runtime that not everything has
-PARTS = ("events", "modes", "interpret")
+PARTS = ("events", "modes", "interpret", "reverse")
 #: whose folders `runtime` have what drives steps: the judge of ledgers, steps that keep a tolerance, sweeps, the master of
 #: coupled members
 DRIVERS = ("audit", "runs", "sweeps", "network/couplings")

@@ -81,6 +81,8 @@ void ph_accept(ph_instance *in, double h, double from, double weight) {
     ph_system *s = &in->step;
     const ph_plan *p = s->plan;
     double *a = in->table + in->offset[PH_A], *mean = in->table + in->offset[PH_Y_STEP];
+    if (in->tape)
+        in->tape->take(in->tape, in, h);
     for (int c = 0; c < p->ncomp; c++) {
         in->row[PH_ROW_STORED][c] += in->stored[c];
         in->row[PH_ROW_DISSIPATED][c] += in->lost[c];

@@ -157,6 +157,17 @@ typedef struct ph_chain {
     double **res;
 } ph_chain;
 
+/* Who is told of every accepted part of a step, before the state moves; see reverse/reverse.h. */
+typedef struct ph_tape ph_tape;
+struct ph_tape {
+    void (*take)(ph_tape *tape, const ph_instance *in, double h);
+    double *rows; /* room x width */
+    int room, width;
+    int n;          /* rows taken */
+    int full;       /* 1: a part found no room */
+    int parameters; /* 1: rows have the parameters too */
+};
+
 struct ph_instance {
     const ph_model *model;
     size_t state_size;
@@ -191,6 +202,7 @@ struct ph_instance {
     double *basis;     /* k */
     double *change;    /* nx */
     ph_chain chain;
+    ph_tape *tape;   /* or NULL */
     long long begun; /* count[PH_ITERATIONS] at the start of the internal step */
     long long count[PH_NCOUNT];
     ph_report report;

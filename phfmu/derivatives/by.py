@@ -1,0 +1,109 @@
+"""What a run is derived by, and how its start moves with that.
+
+Where hidden constraints hold at the start (currents that sum to zero, lengths), a parameter that is in them moves the start as
+`phfmu run --project` would.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phfmu.declare.phdae import PHDAE
+from phfmu.discretise.model import Model
+
+Array = NDArray[np.float64]
+
+#: steps of differences, of the size of what is moved: the error of the extrapolation and rounding are about 1e-11 there
+DIFFERENCES = (2e-4, 1e-4)
+
+
+@dataclass(frozen=True)
+class Directions:
+    """Scalars to derive by: places among the parameters, and among the inputs, which are held over a step."""
+
+    parameters: tuple[int, ...]
+    inputs: tuple[int, ...]
+
+    @property
+    def n(self) -> int:
+        return len(self.parameters) + len(self.inputs)
+
+
+@dataclass(frozen=True)
+class By:
+    """What a run is derived by: scalar names in their order, each a parameter, an input or the start of a state."""
+
+    names: tuple[str, ...]
+    directions: Directions
+    #: column of each direction, and of the start of each state: (state, column)
+    columns: tuple[int, ...]
+    starts: tuple[tuple[int, int], ...]
+
+    @staticmethod
+    def of(declaration: PHDAE, names: Sequence[str]) -> By:
+        """Vectors stand for all their entries.  KeyError names what is no parameter, input or state."""
+        d = declaration
+        p = [n for v in d.parameters for n in v.names()]
+        u = [n for q in d.ports if q.external and not q.signal for n in q.input_names()]
+        x = [n for v in d.states for n in v.names()]
+        whole = {v.name: v.names() for v in (*d.parameters, *d.states)}
+        whole |= {n.partition("[")[0]: q.input_names() for q in d.ports if q.external for n in q.input_names()}
+        scalars = list(dict.fromkeys(n for name in names for n in whole.get(name, [name])))
+        if lost := [n for n in scalars if n not in (*p, *u, *x)]:
+            raise KeyError(d.unknown_name(lost[0]))
+        if modes := [n for n in scalars if n in d.modes]:
+            raise KeyError(f"{d.name}: '{modes[0]}' is a mode that state events set; there is no derivative by it")
+        of_p, of_u = ([n for n in scalars if n in set(some)] for some in (p, u))
+        directions = Directions(tuple(p.index(n) for n in of_p), tuple(u.index(n) for n in of_u))
+        starts = tuple((x.index(n), scalars.index(n)) for n in scalars if n in set(x))
+        return By(tuple(scalars), directions, tuple(scalars.index(n) for n in (*of_p, *of_u)), starts)
+
+    def among(self, name: str) -> list[str]:
+        """The names that `name` means, a vector all its entries."""
+        return [n for n in self.names if n == name or n.partition("[")[0] == name]
+
+    def spread(self, along: Array) -> Array:
+        """Derivatives by the directions (.. x directions) as such by all names (.. x names)."""
+        found = np.zeros((*along.shape[:-1], len(self.names)))
+        found[..., list(self.columns)] = along
+        return found
+
+
+def start_tangents_by(model: Model, by: By, given: Array, x: Array, p: Array, t: float) -> Array:
+    """Tangents (nx x names) of the states at a start x, which `given` was projected to where constraints hold."""
+    S, along = np.zeros((model.step.nx, len(by.names))), np.zeros((len(p), len(by.names)))
+    for state, column in by.starts:
+        S[state, column] = 1.0
+    for parameter, column in zip(by.directions.parameters, by.columns, strict=False):
+        along[parameter, column] = 1.0
+    return _held(model, given, x, p, t, S, along) if model.checks else S
+
+
+def _held(model: Model, given: Array, x: Array, p: Array, t: float, dx: Array, dp: Array) -> Array:
+    """Tangents (nx x n) of a start that is projected onto its constraints, from `given` to x, along dx and dp (np x n).
+
+    Where the projection has moved it, they are differences of projections, extrapolated from two steps.
+    """
+    from phfmu.discretise.start import project_start, start_tangents
+
+    if np.array_equal(given, x):
+        return start_tangents(model, x, p, t, dx, dp)
+    columns = []
+    for along, by in zip(dx.T, dp.T, strict=True):
+        size = max(_size(x, along), _size(p, by)) or 1.0
+        found = []
+        for part in DIFFERENCES:
+            ends = [project_start(model, given + e * along, p=p + e * by, t=t).x for e in (part * size, -part * size)]
+            found.append((ends[0] - ends[1]) / (2 * part * size))
+        columns.append(found[1] + (found[1] - found[0]) / 3.0)
+    return np.column_stack(columns)
+
+
+def _size(values: Array, along: Array) -> float:
+    """How far along a direction a move of the size of the values goes."""
+    moved = along != 0
+    return float(np.max(np.abs(values[moved]) / np.abs(along[moved]), initial=0.0))

@@ -1,0 +1,272 @@
+"""Numbers of a run that are derived: KIND(EXPRESSION), EXPRESSION@TIME, sums of squares against data.
+
+An expression is arithmetic on signals, `gen.w`, `line.i^2`, `gen.w[1] - gen.w[2]`, with + - * / ^, numbers and the functions of
+`FUNCTIONS`.  Kinds are first, last, min, max, peak, mean, rms of the rows and `integral` over time by the trapezoidal rule; a
+time between two rows is on the line between them, and `end` is the last row.  A measure m of rows y_i has weights
+c_i = dm/dy_i, with which
+
+    dm/dtheta = sum_i c_i dy_i/dtheta.
+
+Extremes are those of the rows; where two are as large, the first one counts.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from phfmu.sweeps.measures import mean, measures
+
+Array = NDArray[np.float64]
+Columns = Mapping[str, Array]
+
+
+class RunMeasure(Protocol):
+    """A number of a run: of the times (n) of its rows and of columns (n) of the signals it reads."""
+
+    @property
+    def signals(self) -> tuple[str, ...]: ...
+    def value(self, t: Array, columns: Columns) -> float: ...
+    def weights(self, t: Array, columns: Columns) -> dict[str, Array]:
+        """Derivative of the number by each row (n) of each signal."""
+        ...
+
+
+@dataclass(frozen=True)
+class Expression:
+    """Arithmetic on `signals`; `function` gives values and derivatives (n signals) at one row."""
+
+    text: str
+    signals: tuple[str, ...]
+    function: ca.Function
+
+    def over(self, columns: Columns) -> tuple[Array, Array]:
+        """Values (rows) and derivatives (rows x signals)."""
+        given = np.vstack([columns[n] for n in self.signals])
+        value, slopes = self.function.map(given.shape[1])(given)
+        return np.array(value).ravel(), np.array(slopes).reshape(len(self.signals), -1, order="F").T
+
+
+#: functions of expressions
+FUNCTIONS: dict[str, Callable[[Any], Any]] = {
+    "sin": ca.sin, "cos": ca.cos, "tan": ca.tan, "exp": ca.exp, "log": ca.log, "sqrt": ca.sqrt, "abs": ca.fabs,
+}  # fmt: skip
+#: operators of expressions
+OPERATORS: dict[type, Callable[[Any, Any], Any]] = {
+    ast.Add: lambda a, b: a + b,
+    ast.Sub: lambda a, b: a - b,
+    ast.Mult: lambda a, b: a * b,
+    ast.Div: lambda a, b: a / b,
+    ast.Pow: lambda a, b: a**b,
+}
+_NAME = re.compile(r"(?<![\w.])[A-Za-z_]\w*(?:\.\w+)*(?:\[\d+(?:,\d+)*\])?(?![\w.\[])(?!\s*\()")
+
+
+def expression(text: str, signals: Sequence[str]) -> Expression:
+    """The arithmetic of a text.  ValueError for what is none; KeyError for a signal that there is not."""
+    from phfmu.words import meant
+
+    found: dict[str, ca.SX] = {}
+
+    def place(match: re.Match[str]) -> str:
+        name = match[0]
+        if name not in signals:
+            raise KeyError(f"no signal '{name}' to measure; {meant(name, signals)}")
+        found.setdefault(name, ca.SX.sym(name))
+        return f"s{list(found).index(name)}"
+
+    plain = _NAME.sub(place, text).replace("^", "**")
+    try:
+        tree = ast.parse(plain.strip(), mode="eval").body
+        result = ca.SX(_value(tree, list(found.values())))
+    except (SyntaxError, TypeError) as error:
+        raise ValueError(
+            f"measure {text}: expected arithmetic on signals with + - * / ^ and {', '.join(FUNCTIONS)}"
+        ) from error
+    if not found:
+        raise ValueError(f"measure {text}: it names no signal")
+    given = ca.vertcat(*found.values())
+    function = ca.Function("measure", [given], [result, ca.densify(ca.gradient(result, given))])
+    return Expression(text.strip(), tuple(found), function)
+
+
+def _value(node: ast.AST, symbols: Sequence[ca.SX]) -> Any:
+    match node:
+        case ast.Constant(value=int() | float()):
+            return float(node.value)  # pyright: ignore[reportArgumentType]
+        case ast.Name(id=name):
+            return symbols[int(name[1:])]
+        case ast.UnaryOp(op=ast.USub(), operand=a):
+            return -_value(a, symbols)
+        case ast.BinOp(left=a, op=op, right=b) if type(op) in OPERATORS:
+            return OPERATORS[type(op)](_value(a, symbols), _value(b, symbols))
+        case ast.Call(func=ast.Name(id=name), args=[a], keywords=[]) if name in FUNCTIONS:
+            return FUNCTIONS[name](_value(a, symbols))
+    raise TypeError(ast.dump(node))
+
+
+# -- rows to a number --------------------------------------------------------------------------------------------------
+
+
+def _one(i: int, n: int, value: float = 1.0) -> Array:
+    return value * np.eye(1, n, i % n)[0]
+
+
+def _trapezoidal(t: Array) -> Array:
+    """Weights of the integral over time by the trapezoidal rule."""
+    half = np.diff(t) / 2.0
+    return np.append(half, 0.0) + np.insert(half, 0, 0.0)
+
+
+def _of_rms(t: Array, v: Array) -> Array:
+    size = np.sqrt(mean(t, v * v))
+    return _trapezoidal(t) * v / (size * (t[-1] - t[0])) if size else np.zeros_like(v)
+
+
+def _peak(v: Array) -> int:
+    return int(np.abs(v).argmax())
+
+
+#: kind -> the number, and its derivative by each row, of times and values
+KINDS: dict[str, tuple[Callable[[Array, Array], float], Callable[[Array, Array], Array]]] = {
+    "first": (lambda t, v: float(v[0]), lambda t, v: _one(0, len(v))),
+    "last": (lambda t, v: float(v[-1]), lambda t, v: _one(-1, len(v))),
+    "min": (lambda t, v: float(v.min()), lambda t, v: _one(int(v.argmin()), len(v))),
+    "max": (lambda t, v: float(v.max()), lambda t, v: _one(int(v.argmax()), len(v))),
+    "peak": (lambda t, v: float(np.abs(v).max()), lambda t, v: _one(_peak(v), len(v), float(np.sign(v[_peak(v)])))),
+    "mean": (mean, lambda t, v: _trapezoidal(t) / (t[-1] - t[0])),
+    "rms": (lambda t, v: float(np.sqrt(mean(t, v * v))), _of_rms),
+    "integral": (lambda t, v: float(np.trapezoid(v, t)), lambda t, v: _trapezoidal(t)),
+}
+
+
+@dataclass(frozen=True)
+class Rows:
+    """`kind` of the rows of an expression."""
+
+    kind: str
+    of: Expression
+
+    def __str__(self) -> str:
+        return f"{self.kind}({self.of.text})"
+
+    @property
+    def signals(self) -> tuple[str, ...]:
+        return self.of.signals
+
+    def value(self, t: Array, columns: Columns) -> float:
+        return KINDS[self.kind][0](t, self.of.over(columns)[0])
+
+    def weights(self, t: Array, columns: Columns) -> dict[str, Array]:
+        values, slopes = self.of.over(columns)
+        own = KINDS[self.kind][1](t, values)
+        return {n: own * slopes[:, i] for i, n in enumerate(self.of.signals)}
+
+
+@dataclass(frozen=True)
+class At:
+    """An expression at a time (s), None the end of the run."""
+
+    of: Expression
+    t: float | None
+
+    def __str__(self) -> str:
+        return f"{self.of.text}@{'end' if self.t is None else f'{self.t:g}'}"
+
+    @property
+    def signals(self) -> tuple[str, ...]:
+        return self.of.signals
+
+    def value(self, t: Array, columns: Columns) -> float:
+        return float(self._share(t) @ self.of.over(columns)[0])
+
+    def weights(self, t: Array, columns: Columns) -> dict[str, Array]:
+        own, slopes = self._share(t), self.of.over(columns)[1]
+        return {n: own * slopes[:, i] for i, n in enumerate(self.of.signals)}
+
+    def _share(self, t: Array) -> Array:
+        return _one(-1, len(t)) if self.t is None else between(t, np.array([self.t]))[0]
+
+
+@dataclass(frozen=True)
+class SumOfSquares:
+    """sum_j ((y(t_j) - data_j)/weight)^2 of a signal against data, on the line between rows; data that are NaN do not count."""
+
+    signal: str
+    times: ArrayLike
+    data: ArrayLike
+    weight: float = 1.0
+
+    def __str__(self) -> str:
+        return f"squares({self.signal})"
+
+    @property
+    def signals(self) -> tuple[str, ...]:
+        return (self.signal,)
+
+    def value(self, t: Array, columns: Columns) -> float:
+        return float(np.sum(self._misfit(t, columns)[1] ** 2))
+
+    def weights(self, t: Array, columns: Columns) -> dict[str, Array]:
+        share, misfit = self._misfit(t, columns)
+        return {self.signal: 2.0 * (misfit @ share) / self.weight}
+
+    def _misfit(self, t: Array, columns: Columns) -> tuple[Array, Array]:
+        there = np.isfinite(np.asarray(self.data, float))
+        share = between(t, np.asarray(self.times, float)[there])
+        return share, (share @ columns[self.signal] - np.asarray(self.data, float)[there]) / self.weight
+
+
+def between(rows: Array, t: Array) -> Array:
+    """Shares (times x rows) of the rows in values on the line between two of them; ValueError for times outside the run."""
+    close = 1e-9 * max(float(rows[-1] - rows[0]), 1e-300) / max(len(rows) - 1, 1)
+    if len(t) and (t.min() < rows[0] - close or t.max() > rows[-1] + close):
+        raise ValueError(
+            f"times from {t.min():g} s to {t.max():g} s are not within the run, {rows[0]:g} s to {rows[-1]:g} s"
+        )
+    k = np.clip(np.searchsorted(rows, t + close, "right") - 1, 0, max(len(rows) - 2, 0))
+    part = np.clip((t - rows[k]) / np.where(rows[k + 1] > rows[k], rows[k + 1] - rows[k], 1.0), 0.0, 1.0)
+    share = np.zeros((len(t), len(rows)))
+    share[np.arange(len(t)), k] = 1.0 - part
+    share[np.arange(len(t)), k + 1] += part
+    return share
+
+
+def run_measures(of: Sequence[str | RunMeasure], signals: Sequence[str]) -> list[RunMeasure]:
+    """Measures by their texts (a pattern of signals gives one for each), and those that are given.
+
+    Errors: ValueError for another form or kind; KeyError for signals that there are not.
+    """
+    found: list[RunMeasure] = []
+    for item in of:
+        found += _parsed(item, signals) if isinstance(item, str) else [item]
+    return found
+
+
+def _parsed(text: str, signals: Sequence[str]) -> list[RunMeasure]:
+    at = re.fullmatch(r"(.+)@\s*(end|[-+.\deE]+)\s*", text)
+    if at is not None:
+        return [At(expression(at[1], signals), None if at[2] == "end" else float(at[2]))]
+    form = re.fullmatch(r"\s*(\w+)\((.+)\)\s*", text)
+    if form is not None and form[1] in KINDS and (not set("*?") & set(form[2]) or _arithmetic(form[2], signals)):
+        return [Rows(form[1], expression(form[2], signals))]
+    own = measures([text], signals)
+    if times := [m for m in own if m.kind not in KINDS]:
+        raise ValueError(f"{times[0]} is the time of a row, which does not move; measures: {', '.join(KINDS)}")
+    return [Rows(m.kind, expression(m.signal, signals)) for m in own]
+
+
+def _arithmetic(text: str, signals: Sequence[str]) -> bool:
+    """Whether a text with * is a product of signals rather than a pattern of them."""
+    try:
+        expression(text, signals)
+    except (ValueError, KeyError):
+        return False
+    return True

@@ -1,0 +1,182 @@
+"""Derivatives of runs backwards in compiled code: the tape of a native instance, and the way back over it."""
+
+from __future__ import annotations
+
+import ctypes
+from dataclasses import dataclass
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phfmu.engine.model import Model
+from phfmu.engine.native.code import Code, Functions
+from phfmu.engine.native.compiled import Made
+from phfmu.engine.native.library import Signatures, placed, typed, view
+from phfmu.engine.native.native import NativeInstance
+from phfmu.outcome.status import Status
+from phfmu.plan.reverse import reverse, reverse_ledger
+
+Floats = NDArray[np.float64]
+
+
+class _Tape(ctypes.Structure):
+    """ph_tape."""
+
+    _fields_ = [
+        *((n, ctypes.c_void_p) for n in ("take", "rows")),
+        *((n, ctypes.c_int) for n in ("room", "width", "n", "full", "parameters")),
+    ]
+
+
+class _Parts(ctypes.Structure):
+    """ph_parts."""
+
+    _fields_ = [
+        ("n", ctypes.c_int),
+        ("parameters", ctypes.c_int),
+        *((n, ctypes.c_void_p) for n in ("rows", "row", "part")),
+    ]
+
+
+class _RowBars(ctypes.Structure):
+    """ph_row_bars."""
+
+    _fields_ = [("n", ctypes.c_int), ("row", ctypes.c_void_p), ("bar", ctypes.c_void_p)]
+
+
+#: of code: its kernels and their ledgers in reverse
+_REVERSE: WeakKeyDictionary[Code, tuple[Functions, Functions]] = WeakKeyDictionary()
+
+
+def _functions(made: Made) -> tuple[Functions, Functions]:
+    """The kernels in reverse, and their ledgers, made once for all models with the same code."""
+    found = _REVERSE.get(made.code)
+    if found is None:
+        own = [m.kernel for m in made.kernels.members]
+        compiled = made.code.compiled
+        kernels = Functions([reverse(k) for k in own], compiled)
+        found = _REVERSE[made.code] = kernels, Functions([reverse_ledger(k) for k in own], compiled)
+    return found
+
+
+def _typed(lib: ctypes.CDLL) -> ctypes.CDLL:
+    """With the signatures of reverse.h."""
+    pointer, integer, size = ctypes.c_void_p, ctypes.c_int, ctypes.c_size_t
+    signatures: Signatures = {
+        "ph_tape_width": (integer, [pointer, integer]),
+        "ph_tape_on": (None, [pointer, pointer, pointer, integer, integer]),
+        "ph_reverse_size": (size, [pointer, pointer, pointer, integer]),
+        "ph_reverse_init": (pointer, [pointer, pointer, pointer, pointer, integer]),
+        "ph_reverse_width": (integer, [pointer]),
+        "ph_reverse_bars": (pointer, [pointer]),
+        "ph_reverse_steps": (integer, [pointer, *(ctypes.POINTER(c) for c in (_Parts, _RowBars, ctypes.c_double))]),
+        "ph_reverse_instant": (integer, [pointer, pointer]),
+    }  # fmt: skip
+    return typed(lib, signatures)
+
+
+class NativeTape:
+    """The parts of steps that an instance takes in a `with` block, `room` of them.
+
+    `parameters`: each with the parameters it was taken with.
+    """
+
+    def __init__(self, instance: NativeInstance, room: int, parameters: bool = False):
+        self._instance, self._lib = instance, _typed(instance.handle.lib)
+        self.parameters = parameters
+        self.width = self._lib.ph_tape_width(instance._tables.pointer, int(parameters))
+        self._rows, self._tape = np.empty((room, self.width)), _Tape()
+
+    def __enter__(self) -> NativeTape:
+        self._lib.ph_tape_on(
+            self._instance.handle.instance, ctypes.addressof(self._tape), self._rows.ctypes.data, len(self._rows),
+            int(self.parameters),
+        )  # fmt: skip
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._lib.ph_tape_on(self._instance.handle.instance, None, None, 0, 0)
+
+    @property
+    def full(self) -> bool:
+        """Whether a part found no room."""
+        return bool(self._tape.full)
+
+    @property
+    def rows(self) -> Floats:
+        """[t | h | states at the start | unknowns | inputs at the nodes | parameters] of each part (n x width)."""
+        return self._rows[: self._tape.n]
+
+
+@dataclass(frozen=True)
+class Bars:
+    """Derivatives of some measures (n x ..) by states and time (nx + 1), parameters, held inputs, energies through pairs and lost
+    since the start: views into the memory of the way back."""
+
+    x: Floats
+    p: Floats
+    u: Floats
+    pairs: Floats
+    lost: Floats
+
+
+@dataclass(frozen=True)
+class RowBars:
+    """Rows of a run, by ascending number, with the bars (rows x measures x [x | a | y_step | energy | dissipated]) of what they
+    tell."""
+
+    row: NDArray[np.int32]
+    bar: Floats
+
+
+class NoDerivative(ValueError):
+    """A step at time `t` whose equations have none."""
+
+    def __init__(self, t: float):
+        super().__init__(f"the step at t = {t:.9g} s has no derivative: its equations depend on each other there")
+        self.t = t
+
+
+class NativeReverse:
+    """The way back of n measures, over tapes of instances of a model with the shared parts `made`."""
+
+    def __init__(self, model: Model, made: Made, n: int):
+        self._model, self._lib = model, _typed(made.lib)
+        self._tables, self._functions = made.tables, _functions(made)
+        self._memory, status = placed(self._lib, "ph", made.tables.pointer)
+        if status:
+            raise RuntimeError(f"{model.name}: no memory of an instance")
+        self._instance = self._memory.ctypes.data
+        about = self._instance, *(f.address for f in self._functions), n
+        self._room = np.zeros(self._lib.ph_reverse_size(*about) // 8 + 1)
+        self._in = self._lib.ph_reverse_init(self._room.ctypes.data, *about)
+        plan, width = model.step, self._lib.ph_reverse_width(made.tables.pointer)
+        values = view(self._lib.ph_reverse_bars(self._in), n * width).reshape(n, width)
+        ends = np.cumsum([plan.nx + 1, plan.np, plan.nu, plan.nq]).tolist()
+        self.bars = Bars(*np.split(values, ends, axis=1))
+        self.n = n
+
+    def back(self, rows: Floats, parameters: Floats, row: NDArray[np.int32], part: Floats, told: RowBars) -> None:
+        """Over parts of steps (rows of a tape), taken with `parameters`; `row`: the row of the run that each belongs to, `part`:
+        what it is of its step.  NoDerivative."""
+        self._lib.ph_set_parameters(self._instance, np.ascontiguousarray(parameters).ctypes.data)
+        row, part = np.ascontiguousarray(row, np.int32), np.ascontiguousarray(part, float)
+        given, bar = np.ascontiguousarray(told.row, np.int32), np.ascontiguousarray(told.bar, float)
+        own = rows.shape[1] > self._lib.ph_tape_width(self._tables.pointer, 0)
+        parts = _Parts(len(rows), int(own), rows.ctypes.data, row.ctypes.data, part.ctypes.data)
+        at = ctypes.c_double()
+        bars = _RowBars(len(given), given.ctypes.data, bar.ctypes.data)
+        if self._lib.ph_reverse_steps(self._in, parts, bars, at):
+            raise NoDerivative(at.value)
+
+    def instant(self, t: float, x: Floats, u: Floats, p: Floats, a: Floats, bar: Floats) -> None:
+        """From values at an instant, `bar`: n x [a_end | y_end | observables | H]; a: its algebraic variables.  NoDerivative."""
+        lib, at = self._lib, self._instance
+        x, u, p, a, bar = (np.ascontiguousarray(v, float) for v in (x, u, p, a, bar))
+        lib.ph_set_parameters(at, p.ctypes.data)
+        lib.ph_set_x(at, t, x.ctypes.data)
+        lib.ph_set_input(at, u.ctypes.data)
+        lib.ph_set_algebraic(at, a.ctypes.data)
+        if lib.ph_reverse_instant(self._in, bar.ctypes.data) != tuple(Status).index(Status.OK):
+            raise NoDerivative(t)

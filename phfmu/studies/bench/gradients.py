@@ -1,0 +1,200 @@
+"""Cost of the whole gradient of a run backwards, beside the run itself with all columns off, and what it takes of memory."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from statistics import median
+from time import thread_time
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from phfmu.discretise.model import Model
+
+TURNS = 7  # that the medians are of
+LEAST = 0.03  # s that the steps of a turn take at least
+#: steps of the run whose memory is told
+LONG = 1_000_000
+
+
+@dataclass(frozen=True)
+class Case:
+    """A model by name (`chain:N`, `ladder:N` of the families), order of the scheme."""
+
+    name: str
+    order: int
+
+
+CASES = (
+    *(Case("dc_motor", order) for order in (2, 4)), *(Case("smib", order) for order in (2, 4, 6)),
+    Case("ladder:100", 2), Case("four_particle", 2), Case("four_particle", 6), Case("chain:50", 2), Case("chain:50", 6),
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Cost:
+    """us of a step: forward, all columns off;  forward with the tape;  back, for one measure, by all parameters and starts.
+
+    schur: whether the steps were the Schur stepper's
+    """
+
+    parameters: int
+    states: int
+    unknowns: int
+    forward: float
+    taped: float
+    back: float
+    schur: bool
+
+    @property
+    def ratio(self) -> float:
+        """The whole gradient over the run: run with tape and way back, over the run alone."""
+        return (self.taped + self.back) / self.forward
+
+
+def built(case: Case) -> tuple[Model, float]:
+    """The model, and the step of its scene."""
+    from phfmu.components.mechanical.chain import chain
+    from phfmu.components.scenes.ladder import ladder
+    from phfmu.discretise.model import build_model, default_scheme
+    from phfmu.target import scene
+
+    name, _, n = case.name.partition(":")
+    if name == "chain":
+        declaration, step = chain(int(n), damping=0.5, bending=1.0), 1e-2
+    else:
+        found = ladder(int(n)) if n else scene(name)
+        declaration, step = found.declaration(), found.step
+    return build_model(declaration, default_scheme(declaration, case.order)), step
+
+
+def measure(case: Case) -> Cost:
+    """In turns, medians."""
+    from phfmu.engine.native.native import NativeInstance
+    from phfmu.engine.native.reverse import NativeReverse, NativeTape, RowBars
+
+    model, h = built(case)
+    instance, plan = NativeInstance(model, kernels="compiled"), model.step
+    n = _steps(instance, h)
+    tape, back = NativeTape(instance, n + 64), NativeReverse(model, instance._made, 1)
+    nothing = RowBars(np.zeros(0, np.int32), np.zeros((0, 1, 1)))
+    row, part = np.arange(n, dtype=np.int32), np.ones(n)
+    times = np.zeros((TURNS, 3))
+    for turn in times:
+        instance.reset()
+        turn[0] = _seconds(lambda: instance.run(0.0, h, n))
+        instance.reset()
+        with tape:
+            turn[1] = _seconds(lambda: instance.run(0.0, h, n))
+        if len(tape.rows) != n:
+            raise ValueError(f"{case.name}: steps of {h:g} s were halved")
+        for bar in (back.bars.x, back.bars.p, back.bars.u):
+            bar[:] = 0.0
+        back.bars.x[0, : plan.nx] = 1.0
+        turn[2] = _seconds(lambda: back.back(tape.rows, instance.parameters, row, part, nothing))
+    forward, taped, reverse = (1e6 * median(column) / n for column in times.T.tolist())
+    return Cost(plan.np, plan.nx, plan.nw, forward, taped, reverse, instance.counts["schur"] > 0)
+
+
+def _steps(instance: Any, h: float) -> int:
+    """So many steps that a turn is long enough."""
+    n = 50
+    while True:
+        instance.reset()
+        if _seconds(partial(instance.run, 0.0, h, n)) >= LEAST or n >= 20_000:
+            return n
+        n *= 2
+
+
+def _seconds(take: Callable[[], object]) -> float:
+    before = thread_time()
+    take()
+    return thread_time() - before
+
+
+@dataclass(frozen=True)
+class Memory:
+    """Of a run of so many steps that keeps no tape but the last stretch: bytes kept, s of the run with all columns off, of the
+    stretches that are run again, and of the whole way back, these included."""
+
+    steps: int
+    kept: int
+    forward: float
+    again: float
+    back: float
+
+
+def long_run(name: str = "smib", order: int = 2, steps: int = LONG) -> Memory:
+    """The memory of the derivative of a long run."""
+    from phfmu.derivatives.taped import TapedSteps
+    from phfmu.engine.native.native import NativeInstance
+
+    model, h = built(Case(name, order))
+    plain = NativeInstance(model, kernels="compiled")
+    forward = _seconds(lambda: plain.run(0.0, h, steps))
+    names = [n for v in model.declaration.parameters for n in v.names()]
+    taped = TapedSteps(model, NativeInstance(model, kernels="compiled"), names, 0)
+    taped.read()
+    stretch = 4096
+    for first in range(0, steps, stretch):
+        taped.advance(0.0, h, min(stretch, steps - first), first)
+    kept = sum(len(leg.state) for leg in taped.legs) + taped.taken_again(taped.legs[0]).size
+    again = _seconds(lambda: [taped.taken_again(leg) for leg in taped.legs[:8]]) * len(taped.legs) / 8
+    last = np.eye(1, steps + 1, steps)[0]
+    return Memory(steps, kept, forward, again, _seconds(lambda: taped.slopes([{"energy.dissipated": last}])))
+
+
+def table(cases: Sequence[Case] = CASES, progress: Callable[[str], None] = lambda _: None) -> str:
+    """In Markdown."""
+    from phfmu.studies.bench.machine import load, processor
+
+    head = [
+        "model", "order", "parameters", "states", "unknowns", "stepped by", "run us", "with tape us", "back us", "gradient/run",
+    ]  # fmt: skip
+    lines = ["| " + " | ".join(head) + " |", "|" + " --- |" * len(head)]
+    for case in cases:
+        progress(f"{case.name}, order {case.order}")
+        c = measure(case)
+        lines.append(
+            f"| {case.name} | {case.order} | {c.parameters} | {c.states} | {c.unknowns} | {'Schur' if c.schur else 'Newton'} | "
+            f"{c.forward:.2f} | {c.taped:.2f} | {c.back:.2f} | {c.ratio:.2f} |"
+        )
+    return "\n".join([*lines, "", f"{processor()}; load {load()}"])
+
+
+PAGE = """# Gradients
+
+The derivative of one number of a run by all parameters, all start values and all
+[held inputs](../understand/glossary.md#held) at once, backwards: CPU time of a
+step of the run with all columns off, of the same run with its tape written, and of a step of the way back. `gradient/run` is
+what the whole gradient costs, run included, in runs; it does not depend on how many parameters there are.
+
+    phfmu bench gradients -o docs/results/gradients.md
+
+"""
+
+AFTER = """
+Where the sparse Newton's method steps, the way back takes one factor and one pass of the kernels in reverse where a step takes a
+factor or two and some passes: less than a second run. Where the [Schur stepper](../understand/glossary.md#schur-stepper) steps
+(`four_particle`, chains), the way back still factors the sparse matrix of the step, which that stepper does without: there it
+costs as much as the table says.
+
+## Memory
+
+"""
+
+
+def page(progress: Callable[[str], None] = lambda _: None) -> str:
+    """The page of the results."""
+    told = table(progress=progress)
+    progress("a long run")
+    m = long_run()
+    return (
+        f"{PAGE}{told}\n{AFTER}"
+        f"`smib` at order 2, {m.steps} steps with no memory for tapes but that of the last stretch: {m.kept / 1e6:.0f} MB are "
+        f"kept (states at the starts of stretches, one tape). The run alone takes {m.forward:.1f} s; the way back "
+        f"{m.back:.1f} s, of which {m.again:.1f} s ({m.again / m.forward:.2f} runs) are the stretches that are run again.\n"
+    )
