@@ -13,7 +13,6 @@ import casadi as ca
 from phfmu.declare.event import Guard, StateEvent
 from phfmu.declare.variable import Variable, _sx, parameter
 
-
 #: of the nominal value or rate: how far it has turned inward when a limit is left.  Without it, rounding leads to and fro between
 #: opposite guards at one and the same zero: of a value of high gain that turns slowly, of a state that rests at its limit.
 BAND = 1e-9
