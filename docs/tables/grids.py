@@ -74,7 +74,7 @@ def _solved(name: str) -> tuple[list[int], Array, str]:
         import pandapower.networks as cases  # pyright: ignore[reportMissingImports]
         from pandapower import runpp  # pyright: ignore[reportMissingImports]
 
-        net = cases.case39()
+        net: Any = cases.case39()
         runpp(net, tolerance_mva=1e-10, calculate_voltage_angles=True, trafo_model="pi", init="dc", numba=False)
         v = net.res_bus.vm_pu.to_numpy() * np.exp(1j * np.radians(net.res_bus.va_degree.to_numpy()))
         return [int(k) + 1 for k in net.bus.index], v, "`runpp` of pandapower on its case39"
@@ -155,11 +155,11 @@ def swing(r: Result) -> dict[str, Array]:
 
 
 def grid_clearing() -> Made:
-    """`new_england`, fault of 0.001 pu at bus 16 from 0.1 s on: the largest angle from the mean of all machines until 1.5 s."""
+    """`new_england`, fault of 0.001 pu at bus 16 from 0.1 s on: the largest angle from the mean of all machines until 2.5 s."""
     rows = []
     for k in (1, 2):
         for clear in (0.2282, 0.2313):
-            r = simulated(new_england(t_clear=clear, stop=1.5), k, 5e-5, ["gen*.theta"], EACH)
+            r = simulated(new_england(t_clear=clear, stop=2.5), k, 1e-4, ["gen*.theta"], EACH)
             angles = {m: float(np.abs(a).max()) for m, a in swing(r).items()}
             lost = [m for m, a in angles.items() if a > np.pi]
             first = max(angles, key=lambda m: angles[m])
@@ -259,7 +259,7 @@ def _draw(name: str) -> Sequence[Path]:
     left.set_title(f"{name}: {len(v)} machines", loc="left", fontsize=10)
     for kind, what in (("machines", "stored"), ("fault", "dissipated")):
         own = {n.split(".energy.")[0] for n in r.names if re.match(rf"({KINDS[kind]})\d.*\.energy\.", n)}
-        E = sum(r.column(f"{m}.energy.{what}") for m in own if f"{m}.energy.{what}" in r.names)
+        E: Any = sum(r.column(f"{m}.energy.{what}") for m in own if f"{m}.energy.{what}" in r.names)
         right.plot(r.time, (E - E[0]) / 1e6, lw=1.2, label=f"{kind}: {what}")
     right.set_ylabel("MJ")
     right.legend(fontsize=8, frameon=False)

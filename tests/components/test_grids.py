@@ -17,7 +17,7 @@ from phfmu.cli import main
 from phfmu.components.electrical.capacitors import capacitor_network
 from phfmu.components.grids import Fault, GridModel, Trip, fault_of, grid_model, grid_scene, trip_of
 from phfmu.components.grids.lattice import lattice
-from phfmu.components.scenes.grids import new_england, public_grid, wecc240
+from phfmu.components.scenes.grids import public_grid, wecc240
 from phfmu.importers.grid import Demand, Dynamics, Grid, GridError, Line, Shunt, Transformer, read_raw, with_dynamics
 from tests.wide import wide
 
@@ -287,22 +287,6 @@ def test_turbines_that_rest_at_their_lower_limit_stay_there() -> None:
     for n in ("gov7031_SC", "gov2438_ND"):
         assert np.abs(r.column(f"{n}.valve")[:early]).max() < 1e-12
         assert np.count_nonzero(np.diff(r.column(f"{n}.valve_at")[:early])) <= 2
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("order", (2, 4))
-def test_the_critical_clearing_time_of_new_england(order: int) -> None:
-    """A fault at bus 16 from 0.1 s on: cleared at 0.2282 s all machines hold, at 0.2313 s some leave the others."""
-    for clear, holds in ((0.2282, True), (0.2313, False)):
-        s = new_england(t_clear=clear, stop=1.5)
-        unit = NativeInstance(build_model(s.declaration(), Collocated(order // 2)))
-        options = Options(
-            stop=s.stop, step=s.step, events=s.events, restart=s.restart, signals=("gen*.theta",), every=20
-        )
-        r = run(Monolithic(unit.model, unit), options)
-        theta = np.array([r.column(n) - r.column(n)[0] for n in r.names if n.endswith(".theta")])
-        assert len(theta) == 10 and r.ledger.summary().closed
-        assert (np.abs(theta - theta.mean(axis=0)).max() < pi) == holds
 
 
 def test_two_exciters_of_one_machine_are_refused_and_limits_below_the_power_told() -> None:
