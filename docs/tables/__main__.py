@@ -41,6 +41,15 @@ MAKERS = {
     "event_picture": ("event_picture",),
     "singular_mass": ("mass_spring_orders",),
     "networks": ("couplings",),
+    "grids": (
+        "grid_power_flows",
+        "grid_steady",
+        "grid_fault_orders",
+        "grid_openings",
+        "grid_clearing",
+        "grid_ieee39",
+        "grid_wecc240",
+    ),
     "house": ("house",),
     "timings": ("four_particle", "chain_10", "chain_50", "scaling_chain", "scaling_net", "scaling_ladder"),
 }

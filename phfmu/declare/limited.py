@@ -13,6 +13,10 @@ import casadi as ca
 from phfmu.declare.event import Guard, StateEvent
 from phfmu.declare.variable import Variable, _sx, parameter
 
+#: of the nominal value or rate: how far it has turned inward when a limit is left.  Without it, rounding leads to and fro between
+#: opposite guards at one and the same zero: of a value of high gain that turns slowly, of a state that rests at its limit.
+BAND = 1e-9
+
 
 @dataclass(frozen=True, eq=False)
 class Limit:
@@ -33,7 +37,7 @@ def limited(
     The mode is `<state>_at`; the events are `<state>_hits_max`, `<state>_hits_min`, `<state>_leaves_max`,
     `<state>_leaves_min`.  `lo`, `hi`: numbers or expressions of parameters (a limit that moves does not push the
     state), None: not limited there;  `nominal` [unit]: typical magnitude of the state;  `seconds` [s]: its time
-    constant, for that of the rate.
+    constant, for that of the rate.  It leaves a limit when its rate is 1e-9 of `nominal`/`seconds` inward.
     """
     x, slope, name = state.sx, ca.SX(_sx(rate)), state.name
     m = _mode(f"{name}_at", f"{name}: 1 at its upper limit, -1 at its lower one")
@@ -43,7 +47,7 @@ def limited(
         if hi is None
         else (
             _event(f"{name}_hits_max", x - _sx(hi), 1, nominal, unit, m, 0.0, 1.0),
-            _event(f"{name}_leaves_max", slope, -1, size, per, m, 1.0, 0.0),
+            _event(f"{name}_leaves_max", slope + BAND * size, -1, size, per, m, 1.0, 0.0),
         )
     )
     below = (
@@ -51,7 +55,7 @@ def limited(
         if lo is None
         else (
             _event(f"{name}_hits_min", x - _sx(lo), -1, nominal, unit, m, 0.0, -1.0),
-            _event(f"{name}_leaves_min", slope, 1, size, per, m, -1.0, 0.0),
+            _event(f"{name}_leaves_min", slope - BAND * size, 1, size, per, m, -1.0, 0.0),
         )
     )
     return Limit(slope * (1 - m.sx**2), m, (*above, *below))
@@ -63,14 +67,15 @@ def clipped(name: str, expr: Any, lo: Any, hi: Any, *, nominal: float = 1.0, uni
         y = (1 - m^2) expr + m (m + 1)/2 hi + m (m - 1)/2 lo,    m = 1 above hi, -1 below lo, 0 between
 
     The mode is `<name>_at`; the events are `<name>_hits_max`, `<name>_hits_min`, `<name>_leaves_max`, `<name>_leaves_min`.
+    It leaves a limit 1e-9 of `nominal` inside of it.
     """
     y, low, high = (ca.SX(_sx(e)) for e in (expr, lo, hi))
     m = _mode(f"{name}_at", f"{name}: 1 above its upper limit, -1 below its lower one")
     events = (
         _event(f"{name}_hits_max", y - high, 1, nominal, unit, m, 0.0, 1.0),
         _event(f"{name}_hits_min", y - low, -1, nominal, unit, m, 0.0, -1.0),
-        _event(f"{name}_leaves_max", y - high, -1, nominal, unit, m, 1.0, 0.0),
-        _event(f"{name}_leaves_min", y - low, 1, nominal, unit, m, -1.0, 0.0),
+        _event(f"{name}_leaves_max", y - high + BAND * nominal, -1, nominal, unit, m, 1.0, 0.0),
+        _event(f"{name}_leaves_min", y - low - BAND * nominal, 1, nominal, unit, m, -1.0, 0.0),
     )
     above, below = m.sx * (m.sx + 1) / 2, m.sx * (m.sx - 1) / 2
     return Limit((1 - m.sx**2) * y + above * high + below * low, m, events)
@@ -84,7 +89,7 @@ def lesser(name: str, a: Any, b: Any, *, nominal: float = 1.0, unit: str = "1") 
     )
     events = (
         _event(f"{name}_to_second", first - second, 1, nominal, unit, m, 0.0, 1.0),
-        _event(f"{name}_to_first", first - second, -1, nominal, unit, m, 1.0, 0.0),
+        _event(f"{name}_to_first", first - second + BAND * nominal, -1, nominal, unit, m, 1.0, 0.0),
     )
     return Limit((1 - m.sx) * first + m.sx * second, m, events)
 

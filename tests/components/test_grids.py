@@ -17,8 +17,8 @@ from phfmu.cli import main
 from phfmu.components.electrical.capacitors import capacitor_network
 from phfmu.components.grids import Fault, GridModel, Trip, fault_of, grid_model, grid_scene, trip_of
 from phfmu.components.grids.lattice import lattice
-from phfmu.components.scenes.grids import public_grid
-from phfmu.importers.grid import Demand, Grid, GridError, Line, Shunt, Transformer, read_raw, with_dynamics
+from phfmu.components.scenes.grids import public_grid, wecc240
+from phfmu.importers.grid import Demand, Dynamics, Grid, GridError, Line, Shunt, Transformer, read_raw, with_dynamics
 from tests.wide import wide
 
 CASES = Path(__file__).parent.parent / "reference" / "data" / "grids"
@@ -244,6 +244,49 @@ def test_exciters_meet_and_leave_their_limits_in_a_fault_and_the_nodes_of_machin
     assert limited == [33, 35, 36]
     kirchhoff = np.abs(unit.signal("observables")[-len(unit.model.checks) :])
     assert (kirchhoff <= 1e-12 * np.array(unit.model.check_scale)).all()
+
+
+def with_controllers() -> Grid:
+    """Nine buses with the exciters, turbines and stabilisers of the public tables (ParaEMT_public)."""
+    grid = nine()
+    models = {
+        "SEXS": {"TA_TB": 0.0, "TB": 10.0, "K": 10.0, "TE": 0.1, "Emin": 0.0, "Emax": 3.0},
+        "GAST": {"R": 0.08, "T1": 0.5, "T2": 0.5, "T3": 3.0, "AT": 1.0, "KT": 2.0, "Vmax": 1.0, "Vmin": 0.0, "Dturb": 0.0},
+        "IEEEST": {"A1": 1.013, "A2": 0.013, "A3": 0.0, "A4": 0.0, "A5": 1.013, "A6": 0.113, "T1": 3.0, "T2": 0.02, "T3": 0.0,
+                   "T4": 0.0, "T5": 1.65, "T6": 1.65, "KS": 3.0, "LSmax": 0.1, "LSmin": -0.1, "VCU": 0.0, "VCL": 0.0},
+    }  # fmt: skip
+    more = [Dynamics(d.bus, d.id, m, values) for d in grid.dynamics for m, values in models.items()]
+    return replace(grid, dynamics=(*grid.dynamics, *more))
+
+
+@pytest.mark.parametrize("order", wide((2, 4, 6), 2))
+def test_stabilisers_of_a_high_gain_meet_and_leave_their_limits(order: int) -> None:
+    """Their signal of 4000 per unit of speed turns slowly at its limits, where rounding would go to and fro."""
+    s = grid_scene(with_controllers(), faults=[Fault(7, 0.01, 0.05)], stop=0.08)
+    unit = NativeInstance(build_model(s.declaration(), Collocated(order // 2)))
+    r = run(Monolithic(unit.model, unit), Options(stop=s.stop, step=s.step, events=s.events, restart=s.restart))
+    assert r.ledger.summary().closed
+    for n in (1, 2, 3):
+        mode, signal = r.column(f"pss{n}.Vs_at"), r.column(f"pss{n}.Vs")
+        assert {-1.0, 0.0, 1.0} <= set(mode) and np.abs(signal).max() <= 0.1 * (1 + 1e-8)
+        changes = r.time[np.flatnonzero(np.diff(mode))]
+        assert len(changes) >= 4 and np.diff(changes).min() > 1e-7  # a step is 5e-5 s
+
+
+@pytest.mark.slow
+def test_turbines_that_rest_at_their_lower_limit_stay_there() -> None:
+    """240 buses with their controllers: synchronous condensers whose turbines have no power, through a fault."""
+    s = wecc240(t_fault=0.005, t_clear=0.01, stop=0.02, controls=True)
+    unit = NativeInstance(build_model(s.declaration(), Collocated(1)))
+    options = Options(
+        stop=s.stop, step=s.step, events=s.events, restart=s.restart, signals=("gov7031_SC.*", "gov2438_ND.*")
+    )
+    r = run(Monolithic(unit.model, unit), options)
+    assert r.ledger.summary().closed
+    early = int(np.flatnonzero(r.time < 0.005)[-1])
+    for n in ("gov7031_SC", "gov2438_ND"):
+        assert np.abs(r.column(f"{n}.valve")[:early]).max() < 1e-12
+        assert np.count_nonzero(np.diff(r.column(f"{n}.valve_at")[:early])) <= 2
 
 
 def test_two_exciters_of_one_machine_are_refused_and_limits_below_the_power_told() -> None:

@@ -4,15 +4,29 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from phfmu import Collocated, Monolithic, NativeInstance, Options, build_model, run
+from phfmu import (
+    Collocated,
+    Coupled,
+    EngineMember,
+    FMUMember,
+    Monolithic,
+    NativeInstance,
+    Options,
+    build_model,
+    export,
+    run,
+)
 from phfmu.components.scenes.wscc9 import LINES, PLANTS, VOLTAGE, machine_of, wscc9, wscc9_trip
+from phfmu.fmu.importer.reader import FMUInstance
 from tests.components.phase_coordinates import PhaseMachine, integrated
+from tests.wide import slow
 
 FAULT, CLEAR, STOP = 0.02, 0.04, 0.06
 W, Z = 2 * np.pi * 60.0, VOLTAGE**2 / 100e6
@@ -124,6 +138,30 @@ def test_a_fault_at_nine_buses_has_the_order_of_the_scheme(k: int, most: float) 
     coarse, fine = errors(k, 5e-5, 0.05, 0), errors(k, 2.5e-5, 0.05, 0)
     assert fine[0] < most and fine[1] < most / 1e4
     assert 2 * k - 0.15 < np.log2(coarse[0] / fine[0]) < 2 * k + 0.15
+
+
+@pytest.mark.parametrize(("k", "version"), [slow((2, "2.0")), (2, "3.0"), slow((3, "3.0"))])
+def test_machines_as_units_run_through_the_fault_as_the_composed_model_does(
+    k: int, version: str, tmp_path: Path
+) -> None:
+    """Each machine an FMU with values at the nodes, the others in the engine, coupled by Newton's method on the interface."""
+    scene = wscc9(t_fault=0.001, t_clear=0.003, stop=0.005)
+    scene = replace(scene, events=tuple(replace(e, value=0.05 * e.value) for e in scene.events), restart=0)
+    net: Any = scene.system
+    members: list[Any] = []
+    for name, declaration in net.members.items():
+        model = build_model(replace(declaration, name=name), Collocated(k))
+        if name.startswith("gen"):
+            (path,) = export(model, tmp_path, (version,), step=5e-5, node_inputs=True)
+            members.append(FMUMember(name, FMUInstance(path, name=name)))
+        else:
+            members.append(EngineMember(name, model, NativeInstance(model)))
+    whole = simulated(scene, k, 5e-5)
+    apart = run(Coupled(net, members), Options(stop=scene.stop, step=5e-5, events=scene.events))
+    assert apart.ledger.summary().closed
+    for name, size in (*((f"gen{m}.psi", 6) for m in "123"), ("line57.flux", 3)):
+        one, two = (np.array([r.column(f"{name}[{j + 1}]") for j in range(size)]) for r in (whole, apart))
+        assert np.abs(two - one).max() <= 1e-9 * np.abs(one).max(), name
 
 
 def opened() -> list[float]:

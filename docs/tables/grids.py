@@ -1,0 +1,273 @@
+"""Tables and pictures of docs/results/grids.md: power networks from files, their operating points, faults and trips."""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from collections.abc import Sequence
+from functools import cache
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pages import DOCS, ROOT, Array, Made, slopes, table
+
+from phfmu import Collocated, Monolithic, NativeInstance, Options, Scene, build_model, run
+from phfmu.components.grids import grid_model
+from phfmu.components.scenes.grids import ieee39, new_england, public_grid, wecc240
+from phfmu.components.scenes.wscc9 import wscc9_steady
+from phfmu.runs.result import Result
+
+PUBLISHED = ROOT / "tests" / "reference" / "data" / "grids"
+#: begin and end of the fault of long runs [s], their length [s], their rows [s], and their steps [s] by grid
+FAULT, STOP, EACH = (0.1, 0.15), 10.0, 0.01
+STEPS = {"ieee39": 1e-4, "wecc240": 2e-4}
+#: kinds of members by the words that their names begin with
+KINDS = {
+    "machines": "gen", "lines": "line", "transformers": "transformer", "loads and charging": "load|shunt|reactor|conductance",
+    "plants": "plant|feed", "series capacitors": "capacitors", "fault": "fault", "meters and controllers": "meter|avr|gov|pss",
+}  # fmt: skip
+
+
+def grid_power_flows() -> Made:
+    """Largest differences of the operating points from solutions of others: pandapower's, and those published with the cases."""
+    rows = []
+    for name in ("wscc9", "new_england", "ieee39", "wecc240"):
+        if name == "wscc9":
+            module: Any = import_module("phfmu.components.scenes.wscc9")  # the module, not its function
+            point = module._point("dq-flux")
+            flow = json.loads((ROOT / "tests" / "operating" / "wscc9_power_flow.json").read_text())
+            base = {b: module.PLANTS[b][2] if b in module.PLANTS else module.VOLTAGE for b in flow}
+            own = np.array([point.magnitude(f"bus{b}") / base[b] * np.exp(1j * point.angle(f"bus{b}")) for b in flow])
+            other = np.array([v * np.exp(1j * np.radians(angle)) for v, angle, *_ in flow.values()])
+            source, members = "`tests/operating/wscc9_power_flow.json`", len(point.started().members)
+        else:
+            model = grid_model(public_grid(name), plants="currents", controls=False)
+            point, voltages, members = model.point, model.voltages(), len(model.network.members)
+            numbers, other, source = _solved(name)
+            own = np.array([voltages[n] for n in numbers])
+        magnitude, angle = np.abs(np.abs(own) - np.abs(other)), np.abs(np.angle(own / other))
+        rows.append(
+            [
+                name,
+                len(own),
+                members,
+                point.iterations,
+                point.residual,
+                float(magnitude.max()),
+                float(angle.max()),
+                source,
+            ]
+        )
+    head = ["grid", "buses", "members", "iterations", "residual of the rates", "voltage, pu", "angle, rad", "beside"]
+    return table(head, rows, notes=(
+        "The files of 39 and 240 buses have five or six digits of voltages and allow no smaller difference; in the latter the "
+        "resistance of a series capacitor is left out, which moves seven voltages beside it by more than 1e-5.",
+    ))  # fmt: skip
+
+
+def _solved(name: str) -> tuple[list[int], Array, str]:
+    """Buses, phasors in per unit, and where they are from."""
+    if name == "new_england":
+        import pandapower.networks as cases  # pyright: ignore[reportMissingImports]
+        from pandapower import runpp  # pyright: ignore[reportMissingImports]
+
+        net: Any = cases.case39()
+        runpp(net, tolerance_mva=1e-10, calculate_voltage_angles=True, trafo_model="pi", init="dc", numba=False)
+        v = net.res_bus.vm_pu.to_numpy() * np.exp(1j * np.radians(net.res_bus.va_degree.to_numpy()))
+        return [int(k) + 1 for k in net.bus.index], v, "`runpp` of pandapower on its case39"
+    flow = json.loads((PUBLISHED / f"{name}.json").read_text())
+    v = np.array(flow["bus_Vm"]) * np.exp(1j * np.array(flow["bus_Va"]))
+    return list(flow["bus_num"]), v, "published with the case, five digits"
+
+
+def grid_steady() -> Made:
+    """`wscc9_steady` after 1 s, turned back to the start: largest difference of a state relative to its amplitude."""
+    rows = []
+    point: Any = import_module("phfmu.components.scenes.wscc9")._point("dq-flux")
+    declaration = wscc9_steady().declaration()
+    for k, step in ((1, 1e-4), (1, 5e-5), (2, 1e-4), (2, 5e-5), (3, 2e-4), (3, 1e-4)):
+        unit = NativeInstance(build_model(declaration, Collocated(k)))
+        unit.run(0.0, step, round(1.0 / step), record=())
+        names = [n for v in declaration.states for n in v.names()]
+        back = point.turned_back(dict(zip(names, np.array(unit.x), strict=True)), 1.0)
+        sizes = {
+            n: max(np.abs(v.start).max(), 1e-3 * np.max(np.abs(v.nominal)))
+            for v in declaration.states
+            for n in v.names()
+        }
+        begun = {n: s for v in declaration.states for n, s in zip(v.names(), np.ravel(v.start), strict=True)}
+        drift = {n: abs(back[n] - begun[n]) / sizes[n] for n in names}
+        last = max(drift, key=lambda n: drift[n])
+        rows.append([2 * k, f"{1e6 * step:g}", float(drift[last]), f"`{last}`"])
+    return table(["order", "step, us", "drift after 1 s", "of"], rows)
+
+
+def _nine() -> Any:
+    """The nine buses in phase coordinates, integrated by DOP853: the same that the tests compare with."""
+    sys.path.insert(0, str(ROOT))
+    return import_module("tests.components.test_nine_buses")
+
+
+def grid_fault_orders() -> Made:
+    """`wscc9`, a fault of 20 ohm at bus 7 from 20 to 40 ms, to 60 ms: line currents beside their largest, rotor angles."""
+    nine, rows, steps = _nine(), [], (1e-4, 5e-5, 2.5e-5)
+    for k in (1, 2, 3):
+        found = [nine.errors(k, h, 0.05, 0) for h in steps]
+        orders = [slopes([e[j] for e in found], steps) for j in (0, 1)]
+        for n, h in enumerate(steps):
+            cells = [c for j in (0, 1) for c in (float(found[n][j]), orders[j][n])]
+            rows.append([2 * k if n == 0 else "", f"{1e6 * h:g}", *cells])
+    return table(["order", "step, us", "line currents / max", "slope", "rotor angles, rad", "slope"], rows)
+
+
+def grid_openings() -> Made:
+    """`wscc9_trip`, 25 us: when the poles of line 5-7 open beside the zeros in phase coordinates, current and loss of each."""
+    nine, rows = _nine(), []
+    zeros = nine.opened()
+    for k in (1, 2, 3):
+        r = nine.tripped(k)
+        for pole, ((t, i), zero, lost) in enumerate(zip(nine.openings(r), zeros, nine.lost(r), strict=True)):
+            rows.append([2 * k if not pole else "", "abc"[pole], f"{1e3 * t:.9f}", abs(t - zero), abs(i), lost])
+    return table(["order", "pole", "opens at, ms", "from the zero, s", "current, A", "lost, J"], rows)
+
+
+def simulated(scene: Scene, k: int, step: float, signals: Sequence[str] = (), every: float | None = None) -> Result:
+    """The scene in order 2k; its ledger must be closed."""
+    model = build_model(scene.declaration(), Collocated(k))
+    r = run(
+        Monolithic(model, NativeInstance(model)),
+        Options(
+            stop=scene.stop, step=step, events=scene.events, restart=scene.restart, signals=tuple(signals), every=every
+        ),
+    )
+    assert r.ledger.summary().closed, scene.name
+    return r
+
+
+def swing(r: Result) -> dict[str, Array]:
+    """Angle of each machine [rad] from the mean of all, from its start on."""
+    machines = sorted({m[1] for n in r.names if (m := re.fullmatch(r"(gen\w+)\.theta", n))})
+    turned = np.array([r.column(f"{m}.theta") - r.column(f"{m}.theta")[0] for m in machines])
+    return dict(zip(machines, turned - turned.mean(axis=0), strict=True))
+
+
+def grid_clearing() -> Made:
+    """`new_england`, fault of 0.001 pu at bus 16 from 0.1 s on: the largest angle from the mean of all machines until 2.5 s."""
+    rows = []
+    for k in (1, 2):
+        for clear in (0.2282, 0.2313):
+            r = simulated(new_england(t_clear=clear, stop=2.5), k, 1e-4, ["gen*.theta"], EACH)
+            angles = {m: float(np.abs(a).max()) for m, a in swing(r).items()}
+            lost = [m for m, a in angles.items() if a > np.pi]
+            first = max(angles, key=lambda m: angles[m])
+            rows.append(
+                [
+                    2 * k,
+                    f"{clear:g}",
+                    f"{angles[first]:.2f}",
+                    f"`{first}`",
+                    f"lost: {', '.join(lost)}" if lost else "held",
+                ]
+            )
+    return table(["order", "fault ends at, s", "largest angle, rad", "of", "synchronism"], rows)
+
+
+@cache
+def faulted(name: str) -> Result:
+    """The long run of `ieee39`, with its controllers, or of `wecc240`, with fields and torques constant."""
+    make = {"ieee39": ieee39, "wecc240": wecc240}[name]
+    scene = make(t_fault=FAULT[0], t_clear=FAULT[1], stop=STOP)
+    kept = ["*.energy.stored", "*.energy.supplied", "*.energy.dissipated", "gen*.theta", "gen*.p"]
+    return simulated(scene, 1, STEPS[name], kept, EACH)
+
+
+def speeds(r: Result) -> dict[str, Array]:
+    """Deviation of each machine's speed from its start, in per unit."""
+    return {n[:-2]: r.column(n) / r.column(n)[0] - 1.0 for n in r.names if re.fullmatch(r"gen\w+\.p", n)}
+
+
+def grid_ieee39() -> Made:
+    """`ieee39` with its controllers, a fault of 50 ms at bus 16, 10 s: where the energy went, in MJ."""
+    return _energies("ieee39")
+
+
+def grid_wecc240() -> Made:
+    """`wecc240`, fields and torques constant, a fault of 50 ms at bus 3803, 10 s: where the energy went, in MJ."""
+    return _energies("wecc240")
+
+
+def _energies(name: str) -> Made:
+    """Per kind of member: in the fault and after it."""
+    r, rows = faulted(name), []
+    first, cleared, last = (int(np.flatnonzero(r.time <= t + 1e-9)[-1]) for t in (*FAULT, STOP))
+    owners = sorted({n.split(".energy.")[0] for n in r.names if ".energy." in n})
+    sums = np.zeros(6)
+    for kind, words in KINDS.items():
+        own = [m for m in owners if re.match(rf"({words})\d", m)]
+        spans = ((first, cleared), (cleared, last))
+        moved = [_moved(r, own, what, *span) for span in spans for what in ("stored", "dissipated", "supplied")]
+        values = np.array(moved) / 1e6
+        if own and np.abs(values).max() > 5e-4:
+            rows.append([kind, *(f"{v:.3f}" for v in values)])
+        sums += values
+    rows.append(["**all**", *(f"{v:.3f}" for v in sums)])
+    head = [
+        f"{what}, {when}"
+        for when in ("in the fault", "after it")
+        for what in ("stored", "dissipated", "taken at ports")
+    ]
+    return table(["members", *head], rows, notes=(_ending(r),), draw=lambda: _draw(name))
+
+
+def _moved(r: Result, owners: Sequence[str], what: str, first: int, last: int) -> float:
+    names = [n for m in owners if (n := f"{m}.energy.{what}") in r.names]
+    return float(sum(r.column(n)[last] - r.column(n)[first] for n in names))
+
+
+def _ending(r: Result) -> str:
+    """Whether all machines hold their synchronism, and how far speeds are from each other at the end."""
+    turned, moving = swing(r), speeds(r)
+    lost = [m for m, a in turned.items() if np.abs(a).max() > np.pi]
+    v = np.array(list(moving.values()))
+    spread = v.max(axis=0) - v.min(axis=0)
+    largest = max(float(np.abs(a).max()) for a in turned.values())
+    words = (
+        f"{', '.join(lost)} lose their synchronism" if lost else f"all {len(turned)} machines hold their synchronism"
+    )
+    return (
+        f"{words}; speeds differ by {spread.max():.1e} per unit at the most, by {spread[-1]:.1e} at {STOP:g} s; "
+        f"they are {v[:, -1].mean():+.1e} from where they began; "
+        f"largest angle from the mean {largest:.2f} rad"
+    )
+
+
+def _draw(name: str) -> Sequence[Path]:
+    """docs/results/img/grids_<name>.png: speeds of all machines, and energies by kind of member."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    r = faulted(name)
+    figure, (left, right) = plt.subplots(1, 2, figsize=(11, 3.6), constrained_layout=True)
+    v = 1e3 * np.array(list(speeds(r).values()))
+    left.plot(r.time, v.T, lw=0.6)
+    left.set_ylabel("speed from that at the start, 1e-3 pu")
+    left.set_title(f"{name}: {len(v)} machines", loc="left", fontsize=10)
+    for kind, what in (("machines", "stored"), ("fault", "dissipated")):
+        own = {n.split(".energy.")[0] for n in r.names if re.match(rf"({KINDS[kind]})\d.*\.energy\.", n)}
+        E: Any = sum(r.column(f"{m}.energy.{what}") for m in own if f"{m}.energy.{what}" in r.names)
+        right.plot(r.time, (E - E[0]) / 1e6, lw=1.2, label=f"{kind}: {what}")
+    right.set_ylabel("MJ")
+    right.legend(fontsize=8, frameon=False)
+    for panel in (left, right):
+        panel.set_xlabel("time, s")
+        panel.grid(alpha=0.25)
+        panel.spines[["top", "right"]].set_visible(False)
+    path = DOCS / "results" / "img" / f"grids_{name}.png"
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
+    return [path]
