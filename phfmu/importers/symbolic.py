@@ -50,7 +50,7 @@ def from_sympy(
     and R semidefinite is what `phfmu.check` says.
     """
     x = tuple(v if isinstance(v, Variable) else state(str(v)) for v in states)
-    p = _parameters(parameters)
+    p = as_parameters(parameters)
     ports = tuple(q if isinstance(q, Port) else Port(str(q), PLAIN, "effort", {}) for q in inputs)
     n, m = sum(v.n for v in x), sum(q.n for q in ports)
     x, E = _split(name, x, H, E, n)
@@ -74,24 +74,26 @@ def from_sympy(
         E={} if E1 is None else {held: E1},
         structure=(block(x, matrix["J"]),),
         dissipation=(block(x, matrix["R"]),) if "R" in matrix else (),
-        ports=_acting(ports, x, matrix.get("B")),
+        ports=acting(ports, x, matrix.get("B")),
         description=description,
     )
 
 
 def _converted(name: str, convert: Converter, given: Mapping[str, tuple[Any, tuple[int, int]]]) -> dict[str, Any]:
     """Those of the matrices that are there, of the shapes that they should have."""
-    there = {k: _shaped(name, k, value, shape) for k, (value, shape) in given.items() if value is not None}
+    there = {k: shaped(name, k, value, shape) for k, (value, shape) in given.items() if value is not None}
     return {k: convert.matrix(k, value) for k, value in there.items()}
 
 
-def _parameters(given: Mapping[Any, float] | Sequence[Variable]) -> tuple[Variable, ...]:
+def as_parameters(given: Mapping[Any, float] | Sequence[Variable]) -> tuple[Variable, ...]:
+    """Parameters of a mapping of values, or as they are."""
     if isinstance(given, Mapping):
         return tuple(parameter(str(s), float(value)) for s, value in given.items())
     return tuple(given)
 
 
-def _shaped(model: str, what: str, value: Any, shape: tuple[int, int]) -> Any:
+def shaped(model: str, what: str, value: Any, shape: tuple[int, int]) -> Any:
+    """The matrix; DeclarationError if it is not of that shape."""
     found = getattr(value, "shape", None)
     if found != shape:
         said = "no matrix" if found is None else f"{found[0]} x {found[1]}" if len(found) == 2 else str(found)
@@ -106,7 +108,7 @@ def _split(name: str, x: tuple[Variable, ...], H: Any, E: Any, n: int) -> tuple[
     """The variables, with those E does not act on as algebraic ones."""
     if E is None:
         return x, E
-    _shaped(name, "E", E, (n, n))
+    shaped(name, "E", E, (n, n))
     used, found, at = {str(s) for s in H.free_symbols}, [], 0
     for v in x:
         rows = range(at, at + v.n)
@@ -119,7 +121,8 @@ def _split(name: str, x: tuple[Variable, ...], H: Any, E: Any, n: int) -> tuple[
     return tuple(found), E
 
 
-def _acting(ports: tuple[Port, ...], x: tuple[Variable, ...], B: ca.SX | None) -> tuple[Port, ...]:
+def acting(ports: tuple[Port, ...], x: tuple[Variable, ...], B: ca.SX | None) -> tuple[Port, ...]:
+    """The ports, on the variables x by their columns of B."""
     made, column = [], 0
     for port in ports:
         on, row = {}, 0
