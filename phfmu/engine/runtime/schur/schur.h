@@ -57,7 +57,7 @@ typedef struct ph_lane_group {
  * coordinates row_ptr[r].., and one gradient slot for each of them. A tile is a stretch of degrees of freedom
  * that goes through all loops of a sweep while it is in the cache. */
 typedef struct ph_schur {
-    int k, ndof, nconstraint, nstrain, npoint, ngroup, nload, ntile;
+    int k, ndof, nconstraint, nstrain, npoint, ngroup, nload, nlight, ntile;
     const ph_lane_group *groups;
     const int *position;        /* ndof */
     const int *velocity;        /* ndof */
@@ -78,6 +78,8 @@ typedef struct ph_schur {
     const int *tile_done;       /* ntile+1: those whose forces are complete after it */
     const int *tile_final;      /* ntile+1: those whose rows are */
     const int *tile_load;       /* ntile+1: loads on those that begin with it */
+    const int *light;           /* nlight: degrees of freedom without mass, ascending */
+    const int *light_place;     /* nlight: elimination position of their rows in `hard`, behind those of constraints */
     const ph_elimination *hard; /* constraints */
     const ph_elimination *soft; /* all rows, or NULL: a step with stiff springs is left to Newton */
     const double *extended;     /* (k+1)*k: A, then b */
