@@ -144,8 +144,8 @@ void ph_rest_spread(ph_system *s) {
     s->resting = resting;
 }
 
-/* The same for one constraint at rest after a step of the Schur stepper, by the factors of that; 0 if there are
- * more, or if another one should rest soon, which takes the factor of A. */
+/* The same for one constraint at rest after a step of the Schur stepper, by the factors of that; 0 if there
+ * are more, or if another one should rest soon, which takes the factor of A. */
 static int spread_fast(ph_instance *in) {
     ph_system *s = &in->step;
     const ph_plan *p = s->plan;
@@ -157,7 +157,7 @@ static int spread_fast(ph_instance *in) {
         rests++;
     ph_eval(s, 1, 0);
     ph_eval_matrix(s);
-    if (in->model->code->solver->depend(in->schur, s, ph_rest_first(p, rests)))
+    if (in->model->code->solver->depend(in->schur, s, p->hold_row + p->hold_ptr[rests]))
         return 0;
     for (int i = 0; i < k; i++) {
         const double least = force(s, multiplier(p, rests * k + i));

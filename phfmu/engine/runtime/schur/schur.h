@@ -79,7 +79,7 @@ typedef struct ph_schur {
     const int *tile_final;      /* ntile+1: those whose rows are */
     const int *tile_load;       /* ntile+1: loads on those that begin with it */
     const int *light;           /* nlight: degrees of freedom without mass, ascending */
-    const int *light_place;     /* nlight: elimination position of their rows in `hard`, behind those of constraints */
+    const int *light_place;     /* nlight: elimination position of the row of each in `hard` */
     const ph_elimination *hard; /* constraints */
     const ph_elimination *soft; /* all rows, or NULL: a step with stiff springs is left to Newton */
     const double *extended;     /* (k+1)*k: A, then b */
@@ -91,16 +91,16 @@ typedef struct ph_schur {
 
 /* The Schur stepper compiled for the lanes of one model; size is NULL where there is none. init lays its work
  * space out in memory of size(plan) bytes aligned for double. solve: from x, u, p and the last unknowns of
- * a system to its new ones; PH_OK, or a status that says the sparse Newton has to do it. depend: after a solve,
- * how the constraint whose multipliers are the k unknowns from `row` on, which it has left out, depends on the
- * others: at each node the null vector of Dg^T with 1 in its place, into dw at the multipliers. */
+ * a system to its new ones; PH_OK, or a status that says the sparse Newton has to do it. depend: after a
+ * solve, how the constraint whose multipliers are the unknowns rows (k), and which it has left out, depends
+ * on the others: at each node the null vector of Dg^T with 1 in its place, into dw at the multipliers. */
 struct ph_plan;
 struct ph_system;
 typedef struct ph_schur_code {
     size_t (*size)(const struct ph_plan *plan);
     void (*init)(void *memory, const struct ph_plan *plan);
     int (*solve)(void *memory, struct ph_system *system, double h);
-    int (*depend)(void *memory, struct ph_system *system, int row);
+    int (*depend)(void *memory, struct ph_system *system, const int *rows);
 } ph_schur_code;
 
 #endif
