@@ -272,8 +272,8 @@ class _Builder:
             load_dof=load[:, 0].copy(), load_kind=load[:, 1].copy(), load_source=load[:, 2].copy(),
             load_value=np.array([v for *_, v in self.load], float),
             light=_ints(light), light_place=_ints(place[m + i] for i in range(len(light))),
-            hard=hard, soft=None if light else self._soft(rows), extended=np.vstack([nd.a, nd.b]), multiplier=np.linalg.inv(bordered),
-            spectrum=spectrum, modes=modes, to_modes=to_modes,
+            hard=hard, soft=None if light else self._soft(rows), extended=np.vstack([nd.a, nd.b]),
+            multiplier=np.linalg.inv(bordered), spectrum=spectrum, modes=modes, to_modes=to_modes,
         )  # fmt: skip
 
     def _soft(self, rows: list[list[tuple[int, int, float]]]) -> Elimination | None:
