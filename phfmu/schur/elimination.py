@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
@@ -56,13 +56,20 @@ class Elimination:
 class Pattern:
     """Order and pattern of L for given rows: what an elimination would cost, before its lists are made."""
 
-    def __init__(self, rows: Sequence[Row]):
-        self.n = len(rows)
+    def __init__(self, rows: Sequence[Row], light: Sequence[int] = (), unit: int = 0):
+        """`light`: degrees of freedom with a row of their own behind the others, the transposed column of their gradients,
+        which are multiplied by that of slot `unit`; its diagonal has no products.
+        """
+        rows = list(rows)
+        self.n = len(rows) + len(light)
         touched: dict[int, list[tuple[int, int, float]]] = {}
         for r, entries in enumerate(rows):
             for dof, slot, sign in entries:
                 touched.setdefault(dof, []).append((r, slot, sign))
         self.products: dict[tuple[int, int], list[tuple[int, int, int, float]]] = {(r, r): [] for r in range(self.n)}
+        for r, dof in enumerate(light, len(rows)):
+            for a, slot, sign in touched.get(dof, ()):
+                self.products.setdefault((r, a), []).append((dof, unit, slot, sign))
         for dof, found in touched.items():
             for i, (a, slot_a, sign_a) in enumerate(found):
                 for b, slot_b, sign_b in found[: i + 1]:
@@ -71,6 +78,8 @@ class Pattern:
         pattern = ca.Sparsity.triplet(self.n, self.n, [a for a, _ in self.products], [b for _, b in self.products])
         pattern = pattern + pattern.T
         self.order = pattern.amd() if self.n else []
+        if light:
+            self.order = delayed(self.order, self.products, len(rows))
         lower = factor_pattern(pattern, self.order)
         self.start = np.array(lower.colind(), np.int64)
         self.below = np.array(lower.row(), np.int64)
@@ -144,12 +153,22 @@ def factor_pattern(pattern: ca.Sparsity, order: Sequence[int]) -> ca.Sparsity:
     return upper.T
 
 
+def delayed(order: Sequence[int], entries: Iterable[tuple[int, int]], first: int) -> list[int]:
+    """The order with the rows from `first` on behind all those they share an entry with: before them they have no pivot."""
+    place = {r: i for i, r in enumerate(order)}
+    key = {r: (i, 0) for r, i in place.items()}
+    for r, a in entries:
+        if r >= first > a:
+            key[r] = max(key[r], (place[a], 1 + place[r]))
+    return sorted(order, key=lambda r: key[r])
+
+
 def updates(column: np.ndarray) -> int:
     """Multiply-and-subtract operations of a factor whose columns of L have the lengths diff(column)."""
     counts = np.diff(column)
     return int(np.sum(counts * (counts + 1)) // 2)
 
 
-def eliminate(rows: Sequence[Row]) -> Elimination:
+def eliminate(rows: Sequence[Row], light: Sequence[int] = (), unit: int = 0) -> Elimination:
     """The elimination of rows given as lists of (degree of freedom, gradient slot, sign)."""
-    return Pattern(rows).elimination()
+    return Pattern(rows, light, unit).elimination()

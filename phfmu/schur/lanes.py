@@ -188,6 +188,11 @@ def mass(term: Term) -> Lanes:
     return Lanes((lane_kernel("mass", [_p(term)], [1 / term.data["m"]]),), o=_singles(1))
 
 
+def no_mass(term: Term) -> bool:
+    """Whether a mass is zero whatever the parameters are."""
+    return ca.SX(term.data["m"]).is_zero()
+
+
 @cache
 def spectrum(k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """A^-2 = T M T^-1 in real form: M as (real, re, im) of its eigenvalues, T and T^-1 (k = 1 or 3)."""

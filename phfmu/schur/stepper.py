@@ -20,7 +20,8 @@ from phfmu.declare.variable import Value
 from phfmu.gradients.quadrature import nodes
 from phfmu.plan.layout import Layout
 from phfmu.plan.plan import Floats, Ints, Plan
-from phfmu.plan.unknown import ALGEBRAIC, INCREMENT
+from phfmu.plan.unknown import ALGEBRAIC, COSTATE, INCREMENT
+from phfmu.schemes import inertia
 from phfmu.schemes.constraints import VELOCITY_LEVEL
 from phfmu.schemes.scheme import Scheme
 from phfmu.schur import lanes
@@ -49,6 +50,7 @@ class SchurStepper:
     `load`: constant entries (kind 0: times an input, 1: times a velocity) of the force on load_dof.
     w_position, w_velocity (dof x k), w_lambda (constraint x k), w_mu: places among the unknowns of the plan; `costate`
     (dof x k): Y index of z_v, the only part of Z that dissipation and outputs read in such a model.
+    `light`: degrees of freedom without mass, `light_place`: elimination position of the row that each has in `hard`.
     `hard`: elimination of the constraints, `soft`: of all rows, None where Newton's method is better.
     `extended`: A with the row b below it (k+1 x k);  `multiplier`: inverse of [A, -1; b^T, 0];  `spectrum`, `modes`,
     `to_modes`: A^-2 in real block-diagonal form.
@@ -74,6 +76,8 @@ class SchurStepper:
     load_kind: Ints
     load_source: Ints
     load_value: Floats
+    light: Ints
+    light_place: Ints
     hard: Elimination
     soft: Elimination | None
     extended: Floats
@@ -119,7 +123,7 @@ class _Builder:
         self.resting = t.found(ConstraintsAtStart).resting
         _require(sorted(self.position + self.velocity) == list(range(t.n1)))
         _require(sorted(x.rows[0].index for x in constraint) == list(range(t.na)))
-        _require(layout.roles() <= {INCREMENT, ALGEBRAIC, VELOCITY_LEVEL})
+        _require(layout.roles() <= {INCREMENT, COSTATE, ALGEBRAIC, VELOCITY_LEVEL})
         _require(not t.solved_costates() and not t.bound and all(p.port.source is None for p in t.pairs))
         _require(len(t.pairs) == t.nu)
         self.dof = {q: d for d, q in enumerate(self.position)}
@@ -167,6 +171,10 @@ class _Builder:
     def _mass(self, term: Term) -> None:
         row, m, p = term.rows[0].index, term.data["m"], term.symbols(Value.PARAMETER)
         _require(row in self.dof_v and not self._depends(m, term, Value.STATE))
+        if inertia.is_light(term):
+            if not lanes.no_mass(term):
+                self._add(self._once(term, lambda: lanes.mass(term)), term, o=[self.dof_v[row]])
+            return
         start = [s for v in self.terms.model.parameters for s in v.start]
         _require(float(ca.Function("m", [p], [m])([start[i] for i in term.indices(Value.PARAMETER)])) > 0)
         self._add(self._once(term, lambda: lanes.mass(term)), term, o=[self.dof_v[row]])
@@ -213,7 +221,6 @@ class _Builder:
             return
         _require(
             term.local.keys() <= {Value.STATE, Value.PARAMETER}
-            and not np.any(term.data["light"])
             and degree(term.data["g"], term.local[Value.STATE]) in (1, 2)
         )
         known = self._once(term, lambda: lanes.constraint(term))
@@ -238,6 +245,7 @@ class _Builder:
     def _tables(self) -> SchurStepper:
         layout, nd, k, ndof = self.layout, nodes(self.layout.k), self.layout.k, len(self.position)
         groups, kinds, points, ends, multipliers = self._groups()
+        light = sorted(self.dof_v[v] for v in inertia.light(self.terms))
         rows = [
             [(d, j, sign) for j in range(*span) for d, sign in zip(points[j], (1.0, -1.0), strict=True) if d < ndof]
             for span in zip(ends, ends[1:], strict=False)
@@ -248,6 +256,8 @@ class _Builder:
         nominal = layout.nominals()
         self.load.sort()
         load = np.array([(d, kind, s) for d, kind, s, _ in self.load], np.int32).reshape(-1, 3)
+        hard = eliminate(rows[:m], light, ends[-1])
+        place = {r: i for i, r in enumerate(hard.order.tolist())}
         tiled_groups, tile = tiled(groups, kinds, ndof, load[:, 0])
         return SchurStepper(
             k=k, groups=tiled_groups, tile=tile, nconstraint=m, nstrain=len(rows) - m,
@@ -255,14 +265,15 @@ class _Builder:
             nominal=np.array([nominal[layout.at(INCREMENT, v)] for v in self.velocity]),
             w_position=_ints(layout.at(INCREMENT, q, i) for q in self.position for i in range(k)),
             w_velocity=_ints(layout.at(INCREMENT, v, i) for v in self.velocity for i in range(k)),
-            costate=_ints(layout.nv + layout.slot(v, i) for v in self.velocity for i in range(k)),
+            costate=_ints(layout.costate(v, i) for v in self.velocity for i in range(k)),
             w_lambda=_ints(layout.at(ALGEBRAIC, a, i) for a in multipliers for i in range(k)),
             w_mu=_ints(layout.at(VELOCITY_LEVEL, a) for a in multipliers),
             row_ptr=_ints(ends), point_plus=_ints(p for p, _ in points), point_minus=_ints(q for _, q in points),
             load_dof=load[:, 0].copy(), load_kind=load[:, 1].copy(), load_source=load[:, 2].copy(),
             load_value=np.array([v for *_, v in self.load], float),
-            hard=eliminate(rows[:m]), soft=self._soft(rows), extended=np.vstack([nd.a, nd.b]), multiplier=np.linalg.inv(bordered),
-            spectrum=spectrum, modes=modes, to_modes=to_modes,
+            light=_ints(light), light_place=_ints(place[m + i] for i in range(len(light))),
+            hard=hard, soft=None if light else self._soft(rows), extended=np.vstack([nd.a, nd.b]),
+            multiplier=np.linalg.inv(bordered), spectrum=spectrum, modes=modes, to_modes=to_modes,
         )  # fmt: skip
 
     def _soft(self, rows: list[list[tuple[int, int, float]]]) -> Elimination | None:

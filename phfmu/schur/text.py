@@ -117,9 +117,10 @@ def stepper_text(schur: SchurStepper, tables: str) -> str:
 
 
 def _small(schur: SchurStepper, tables: str) -> str:
+    light = f"#define PH_LIGHT {len(schur.light)}\n" if len(schur.light) else ""
     if not is_small(schur):
-        return ""
-    return f"#define PH_SMALL {schur.ndof}\n#define PH_SMALL_ENTRIES {schur.hard.nentry}\n" + tables
+        return light
+    return light + f"#define PH_SMALL {schur.ndof}\n#define PH_SMALL_ENTRIES {schur.hard.nentry}\n" + tables
 
 
 def _loop_name(group: LaneGroup) -> str:

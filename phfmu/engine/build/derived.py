@@ -201,6 +201,7 @@ def schur_sizes(schur: SchurStepper) -> dict[str, Any]:
         "npoint": len(schur.point_plus),
         "ngroup": len(schur.groups),
         "nload": len(schur.load_dof),
+        "nlight": len(schur.light),
         "ntile": len(schur.tile.dof) - 1,
     }
 

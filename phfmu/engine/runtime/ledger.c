@@ -49,7 +49,7 @@ int ph_weigh(ph_instance *in, double h) {
     int fits = within(in->table, p->nx);
     if (s->resting) {
         memcpy(in->unspread, s->y, sizeof(double) * (size_t)p->nw);
-        ph_rest_spread(s);
+        ph_rest_spread_step(in);
     }
     ph_eval_ledger(s, in->stored, in->moved, in->lost, in->numerical);
     for (int j = 0; j < p->nq; j++) {

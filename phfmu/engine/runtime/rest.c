@@ -144,6 +144,48 @@ void ph_rest_spread(ph_system *s) {
     s->resting = resting;
 }
 
+/* The same for one constraint at rest after a step of the Schur stepper, by the factors of that; 0 if there
+ * are more, or if another one should rest soon, which takes the factor of A. */
+static int spread_fast(ph_instance *in) {
+    ph_system *s = &in->step;
+    const ph_plan *p = s->plan;
+    const int k = p->k;
+    int rests = 0;
+    if (!in->fast || s->resting != 1)
+        return 0;
+    while (s->rests[rests] != PH_RESTS)
+        rests++;
+    ph_eval(s, 1, 0);
+    ph_eval_matrix(s);
+    if (in->model->code->solver->depend(in->schur, s, p->hold_row + p->hold_ptr[rests]))
+        return 0;
+    for (int i = 0; i < k; i++) {
+        const double least = force(s, multiplier(p, rests * k + i));
+        double along = 0.0, total = 0.0;
+        for (int c = 0; c < p->nhold; c++) {
+            const int row = multiplier(p, c * k + i);
+            const double size = c == rests ? least : force(s, row), share = size * s->dw[row];
+            if (!(fabs(share) <= PH_REST_SHARE * least))
+                return 0;
+            along += share * size * s->y[row];
+            total += share * share;
+        }
+        if (total > 0.0)
+            for (int c = 0; c < p->nhold; c++)
+                s->y[multiplier(p, c * k + i)] -= along / total * s->dw[multiplier(p, c * k + i)];
+    }
+    s->lu.filled = 0; /* of another step */
+    s->resting = 0;
+    ph_eval(s, 0, 1);
+    s->resting = 1;
+    return 1;
+}
+
+void ph_rest_spread_step(ph_instance *in) {
+    if (!spread_fast(in))
+        ph_rest_spread(&in->step);
+}
+
 /* Size of the forces of a unit of the first multiplier of constraint c. */
 double ph_rest_force(const ph_system *s, int c) {
     return force(s, ph_rest_first(s->plan, c));

@@ -114,6 +114,7 @@ void ph_rest_tell(ph_instance *in, double time, int rests, int needed);
 void ph_rest_continue(ph_instance *in, const ph_instance *from);
 void ph_rest_take(ph_instance *in);
 void ph_rest_spread(ph_system *s);
+void ph_rest_spread_step(ph_instance *in);
 void ph_rest_exchange(ph_instance *in, double time);
 int ph_rest_wake(ph_instance *in);
 void ph_rest_settle(ph_instance *in, double time, int accepted);
@@ -190,6 +191,7 @@ struct ph_instance {
     /* Work space. */
     ph_system step, instant;
     void *schur;       /* work space of the Schur stepper, or NULL */
+    int fast;          /* 1: the Schur stepper has solved the last part */
     int planned;       /* 1: those constraints rest that the Schur stepper leaves out */
     void *backup;      /* state_size */
     double *stored;    /* ncomp */

@@ -12,6 +12,9 @@
 #include "system.h"
 
 #define PH_LANES (PH_K + 1)
+#ifndef PH_LIGHT /* the number of degrees of freedom without mass */
+#define PH_LIGHT 0
+#endif
 typedef double ph_lane __attribute__((vector_size(8 * PH_LANES), aligned(8)));
 
 #if PH_K == 3
@@ -45,7 +48,11 @@ typedef double ph_lane __attribute__((vector_size(8 * PH_LANES), aligned(8)));
 static inline int lane_weak(ph_lane pivot, ph_lane initial, int n) {
     int result = 0;
     for (int i = 0; i < PH_LANES; i++)
+#if PH_LIGHT
+        result |= !(initial[i] > 0.0 ? n * pivot[i] > WEAK * initial[i] : n * pivot[i] < WEAK * initial[i]);
+#else
         result |= !(n * pivot[i] > WEAK * initial[i]);
+#endif
     return result;
 }
 
@@ -81,6 +88,9 @@ typedef struct ph_work {
     double *velocity;     /* ndof: v at the start of the step */
     double *parameters;   /* np: those the two were computed for */
     double *point;        /* npoint: coordinates at the start of the step */
+    double *light_mass;   /* nlight: their true masses, zero or far smaller than all others */
+    double inverse_light; /* 1/m that their rows are eliminated with */
+    ph_lane *missing;     /* nlight: what their momentum misses */
     ph_lane *u;           /* nu */
     ph_lane *base;        /* ndof: forces that stay during a step */
     ph_lane *x, *f;       /* ndof+1: displacements; q' at the nodes and v at the end */
@@ -114,7 +124,9 @@ typedef struct ph_sweep {
     const double *parameters;
     double *point, *velocity, *inverse_mass, *constant, *start, *slope;
     const ph_lane *input, *base;
-    ph_lane *multiplier, *f, *x, *v, *n, *force, *next, *slot, *row, *stress, *defect;
+    const double *light_mass;
+    double inverse_light;
+    ph_lane *missing, *multiplier, *f, *x, *v, *n, *force, *next, *slot, *row, *stress, *defect;
     ph_lane column[PH_K];
 } ph_sweep;
 
@@ -173,6 +185,9 @@ static PH_WRITTEN ph_sweep view(const ph_work *w) {
         .force = w->force,
         .next = w->next,
         .slot = w->slot,
+        .light_mass = w->light_mass,
+        .inverse_light = w->inverse_light,
+        .missing = w->missing,
         .row = w->row,
         .stress = w->stress,
         .defect = w->defect,

@@ -57,7 +57,7 @@ typedef struct ph_lane_group {
  * coordinates row_ptr[r].., and one gradient slot for each of them. A tile is a stretch of degrees of freedom
  * that goes through all loops of a sweep while it is in the cache. */
 typedef struct ph_schur {
-    int k, ndof, nconstraint, nstrain, npoint, ngroup, nload, ntile;
+    int k, ndof, nconstraint, nstrain, npoint, ngroup, nload, nlight, ntile;
     const ph_lane_group *groups;
     const int *position;        /* ndof */
     const int *velocity;        /* ndof */
@@ -78,6 +78,8 @@ typedef struct ph_schur {
     const int *tile_done;       /* ntile+1: those whose forces are complete after it */
     const int *tile_final;      /* ntile+1: those whose rows are */
     const int *tile_load;       /* ntile+1: loads on those that begin with it */
+    const int *light;           /* nlight: degrees of freedom without mass, ascending */
+    const int *light_place;     /* nlight: elimination position of the row of each in `hard` */
     const ph_elimination *hard; /* constraints */
     const ph_elimination *soft; /* all rows, or NULL: a step with stiff springs is left to Newton */
     const double *extended;     /* (k+1)*k: A, then b */
@@ -89,13 +91,16 @@ typedef struct ph_schur {
 
 /* The Schur stepper compiled for the lanes of one model; size is NULL where there is none. init lays its work
  * space out in memory of size(plan) bytes aligned for double. solve: from x, u, p and the last unknowns of
- * a system to its new ones; PH_OK, or a status that says the sparse Newton has to do it. */
+ * a system to its new ones; PH_OK, or a status that says the sparse Newton has to do it. depend: after a
+ * solve, how the constraint whose multipliers are the unknowns rows (k), and which it has left out, depends
+ * on the others: at each node the null vector of Dg^T with 1 in its place, into dw at the multipliers. */
 struct ph_plan;
 struct ph_system;
 typedef struct ph_schur_code {
     size_t (*size)(const struct ph_plan *plan);
     void (*init)(void *memory, const struct ph_plan *plan);
     int (*solve)(void *memory, struct ph_system *system, double h);
+    int (*depend)(void *memory, struct ph_system *system, const int *rows);
 } ph_schur_code;
 
 #endif
