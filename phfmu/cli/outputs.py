@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING
@@ -74,13 +74,15 @@ class Outputs:
             if here in (self._audit_path.resolve(), self._audit_path.with_suffix(".parquet").resolve()):
                 raise ValueError(f"-o and --audit both name {args.output}; give the audit a file of its own")
 
-    def begin(self, about: dict[str, str], shapes: tuple[Shape, ...] = ()) -> None:
-        """Open the audit of a run with these shapes; pictures are called by what `about` tells."""
+    def begin(
+        self, about: dict[str, str], shapes: tuple[Shape, ...] = (), origin: Mapping[str, object] | None = None
+    ) -> None:
+        """Open the audit of a run with these shapes and origin; pictures are called by what `about` tells."""
         self._title, self._target, self._shapes = ": ".join(about.values()), about["target"], shapes
         if self._audit_path:
             from phfmu.audit import AuditWriter
 
-            self.sink = AuditWriter(self._audit_path, about, self._table_path)
+            self.sink = AuditWriter(self._audit_path, {**about, **(origin or {})}, self._table_path)
 
     def columns(
         self, options: Options, events: Iterable[Event], names: Sequence[str], units: Sequence[str], kinds: Sequence[str],
