@@ -121,7 +121,7 @@ class _Symbols:
 
         found, names = {}, dict(zip(self.q, self.v, strict=True))
         for d in e.atoms(sympy.Derivative) if hasattr(e, "atoms") else ():
-            of = d.expr
+            of: Any = d.expr
             if isinstance(of, sympy.core.function.AppliedUndef) and len(of.args) == 1 and d.derivative_count == 1:
                 found[d] = sympy.Symbol(names.get(of.func.__name__, str(d)))
         for f in e.atoms(sympy.core.function.AppliedUndef) if hasattr(e, "atoms") else ():

@@ -87,7 +87,8 @@ def error(
 ) -> float:
     model = build_model(declaration, default_scheme(declaration, order))
     found = run(Monolithic(model, engine(model)), Options(stop=stop, step=step))
-    assert abs(found.ledger.summary().network.unexplained) <= 1e-12
+    total = found.ledger.summary().network
+    assert total is not None and abs(total.unexplained) <= 1e-12
     return max(abs(found.column(name)[-1] - value) for name, value in exact.items())
 
 
