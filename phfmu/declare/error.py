@@ -31,7 +31,7 @@ class Problem:
 #: of a scheme; of a model; those of `phfmu check` that are found without it
 RULES = frozenset({
     "order", "stages", "gradient", "closure", "pair", "drift", "constraint", "mass", "velocity", "descriptor", "singular",
-    "type", "port", "shape", "symbol", "source", "start", "energy", "costate", "switch",
+    "type", "port", "shape", "symbol", "source", "start", "energy", "costate", "switch", "dissipation",
 })  # fmt: skip
 
 

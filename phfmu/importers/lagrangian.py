@@ -100,7 +100,8 @@ def from_lagrangian(
         dissipation=_blocks(v, found.get("R")),
         ports=acting(ports, v, found.get("B")),
         constraints=tuple(
-            Holonomic(multipliers[0].part(i, 1) if len(g) > 1 else multipliers[0], e, label=label)
+            Holonomic(m.part(i, 1) if len(g) > 1 else m, e, label=label)
+            for m in multipliers
             for i, (label, e) in enumerate(zip(labels, gaps, strict=True))
         ),
         description=description,

@@ -108,13 +108,12 @@ def test_every_parameter_of_the_library_that_must_be_positive_says_so(name):
         "upper",
         "low",
         "high",
-        "ratio",
-        "start",
     }  # signs are a matter of direction
     for v in model.parameters:
         base = v.name.rsplit(".", 1)[-1]
         signless = v.signal or base in free or base.startswith(("M_", *PLACES))
         signless = signless or base.endswith(("_at", "_second")) or (v.unit == "1" and base in GAINS)
+        signless = signless or v.name.endswith((".gear_ratio", ".gear_start"))
         signless = signless and not (base == "k" and v.unit != "V.s/rad")  # a stiffness, not a torque constant
         for n, value in zip(v.names(), v.start, strict=True):
             assert (n in found) != signless or base.endswith(("_at", "_second")), n

@@ -23,7 +23,7 @@ def box_on_floor(
     The floor is hard and throws back with a restitution; the box has a skin of rubber, of which a corner gives way by a quarter
     under a quarter of the weight, so that it can lie.  Without skin it must not: the impacts would follow each other for ever.
 
-    Arguments:    edges `size` [m], mass [kg];  height [m] of the centre at the start, spin [rad/s];  restitution;
+    Arguments:    size [m]: edges;  mass [kg];  height [m] of the centre at the start;  spin [rad/s];  restitution [1];
                   skin [m], 0 for none
     Events:       corner1 to corner8, with what they lose
     Observables:  of the body box;  corner1.gap to corner8.gap [m]

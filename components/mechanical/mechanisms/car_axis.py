@@ -17,7 +17,7 @@ def car_axis(*, epsilon: float = 1e-2, mass: float = 10.0, amplitude: float = 0.
 
     All numbers are without units, as published.  The springs are stiff beside the small masses: periods of 0.14.
 
-    Arguments:    epsilon, mass;  amplitude and omega of the road
+    Arguments:    epsilon [1], mass [1];  amplitude [1] and omega [1] of the road
     Port:         road: work of the right wheel's motion
     Observables:  left (2), right (2): positions of the bodies
     Source:       F. Mazzia, C. Magherini, Test Set for Initial Value Problem Solvers (2008), problem "car axis", with the

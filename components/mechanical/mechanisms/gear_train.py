@@ -21,7 +21,7 @@ def gear_train(
 
         (sum J_i (r_1/r_i)^2 + load r_1^2) w' = torque - friction w - load g r_1 sin(slope),   w: speed of the first wheel
 
-    Arguments:    radii [m] and moments of inertia [kg.m2] of the wheels;  load: mass [kg] of the rack and what it carries
+    Arguments:    radii [m] and inertias [kg.m2] of the wheels;  load [kg]: mass of the rack and of what it carries
                   friction [N.m.s/rad] of the first wheel;  slope [rad];  torque [N.m] of the motor at the start
     Ports:        motor (torque on the first wheel given, speed out);  lift (force on the rack given, velocity out)
     Observables:  mesh1.torque, ..: torque on the driven wheel;  slide.force on the rack;  those of bodies and joints

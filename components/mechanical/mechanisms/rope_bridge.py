@@ -16,8 +16,8 @@ def rope_bridge(
     At the start the ropes are polygons whose slopes fall from one end to the other by equal steps, and a gust has set the planks
     in motion sideways.  Each segment is a constraint, so that 2 (n + 1) of them are in a row of n bodies.
 
-    Arguments:    n;  span [m] between the banks, width [m] of the planks;  slope `sag` [rad] of the ropes at the banks;
-                  mass [kg] of a plank;  gust [m/s]: speed across of the middle of the bridge
+    Arguments:    n;  span [m] between the banks, width [m] of the planks;  sag [rad]: slope of the ropes at the banks
+                  plank [kg]: mass of one;  gust [m/s]: speed across of the middle of the bridge
     Observables:  plank1, ..: position, direction, momentum, energy;  left1.force, .. and right1.force, ..: of the segments
     """
     if n < 1:

@@ -249,8 +249,10 @@ class Equations:
         text = f"rate of {gear.b.name} by that of {gear.a.name}"
         unit = gear.b.equations.coordinates[0].unit
         what, effort = ("torque", "N.m") if unit == "rad" else ("force", "N")
-        ratio = self.made.parameter(f"{gear.name}.ratio", gear.ratio, unit=gear.unit, description=text).sx
-        start = self.made.parameter(f"{gear.name}.start", gear.start(), unit=unit, description=f"of {gear.name}").sx
+        ratio = self.made.parameter(f"{gear.name}.gear_ratio", gear.ratio, unit=gear.unit, description=text).sx
+        start = self.made.parameter(
+            f"{gear.name}.gear_start", gear.start(), unit=unit, description=f"of {gear.name}"
+        ).sx
         self.made.constraint(
             lambda at: at(b)[0] - ratio * at(a)[0] - start, gear.name, multiplier=(f"{gear.name}.lambda", effort)
         )
