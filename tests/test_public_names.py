@@ -102,3 +102,12 @@ def test_a_family_of_components_gives_the_functions_that_the_library_lists() -> 
         assert getattr(family, name) is builder(name), name
         assert name in family.__all__
         assert family.__all__ == sorted(family.__all__)
+
+
+def test_every_file_of_c_is_in_the_package() -> None:
+    """Files of the runtime are compiled where they are installed: package-data names the folders that hold them."""
+    root = Path(__file__).parent.parent
+    data = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]["package-data"]
+    listed = {f for name, patterns in data.items() for p in patterns for f in (root / name.replace(".", "/")).glob(p)}
+    sources = {f for end in ("c", "h", "inc") for f in (root / "phfmu").rglob(f"*.{end}")}
+    assert sources and sources <= listed
