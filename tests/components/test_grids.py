@@ -275,7 +275,10 @@ def test_stabilisers_of_a_high_gain_meet_and_leave_their_limits(order: int) -> N
 
 @pytest.mark.slow
 def test_turbines_that_rest_at_their_lower_limit_stay_there() -> None:
-    """240 buses with their controllers: synchronous condensers whose turbines have no power, through a fault."""
+    """240 buses with their controllers: synchronous condensers whose turbines have no power, through a fault.
+
+    Before it the valves stay within the billionth by which limits are left: speeds move by the rounding of the power flow.
+    """
     s = wecc240(t_fault=0.005, t_clear=0.01, stop=0.02, controls=True)
     unit = NativeInstance(build_model(s.declaration(), Collocated(1)))
     options = Options(
@@ -285,7 +288,7 @@ def test_turbines_that_rest_at_their_lower_limit_stay_there() -> None:
     assert r.ledger.summary().closed
     early = int(np.flatnonzero(r.time < 0.005)[-1])
     for n in ("gov7031_SC", "gov2438_ND"):
-        assert np.abs(r.column(f"{n}.valve")[:early]).max() < 1e-12
+        assert np.abs(r.column(f"{n}.valve")[:early]).max() < 1e-9
         assert np.count_nonzero(np.diff(r.column(f"{n}.valve_at")[:early])) <= 2
 
 
