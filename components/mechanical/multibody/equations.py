@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 #: the quarter turn, which gives the second director in the plane
 QUARTER = ca.DM([[0.0, -1.0], [1.0, 0.0]])
 AXES = {"x": 0, "y": 1, "z": 2}
+#: radius of what joins the ends of a distance in pictures, beside its length
+ROPE = 0.006
 
 
 @dataclass(frozen=True)
@@ -194,6 +196,8 @@ class Equations:
         length = ca.SX(0)
         if joint.kind == "distance":
             length = m.parameter(f"{name}.length", joint.length, unit="m", positive=True, description=f"of {name}").sx
+            ends = sides[0].point("p"), sides[1].point("p")
+            m.solid("rod", *ends, size=(ROPE * joint.length,), label=name)
         position, axes = kind.rows(sides[0].symbols, sides[1].symbols, length)
         for i, (rows, suffix, unit) in enumerate(((position, "lambda", "N"), (axes, "lambda_axes", "N.m"))):
             if rows:
