@@ -65,6 +65,9 @@ def test_info_and_check_of_the_library(cli: Cli, target: str) -> None:
         assert any(line.split()[:2] == [name, variable.unit] for line in out.splitlines()), name
     assert all(f"  {p.name} " in out for p in declaration.ports)
     code, said, _ = cli("check", target)
+    if target == "box_on_floor":  # where its rubber begins, forces have a kink
+        assert code == 0 and said.count("warning: energy term") == 8 and "meet smoothly" in said
+        return
     assert code == 0 and said.endswith(f"{target}: no problems\n")
     assert (said.count("\n") > 1) == (target == "bricard")  # which of its rows are too many
     if target == "two_machine":

@@ -81,7 +81,7 @@ def relative(one, two, names, least=0.0):
 
 #: its multipliers are small differences of the forces of stiff springs and dampers, which Newton's method rounds
 FAR = {"flyball": 1e-5}
-MECHANISMS = ("pendulum", "four_bar", "andrews", "bricard", "flyball", "slider_crank", "rope_bridge")
+MECHANISMS = ("pendulum", "four_bar", "andrews", "bricard", "flyball", "slider_crank", "rope_bridge", "gear_train")
 RECORD = ("signals", "stored", "dissipated", "supplied", "pairs", "energy")
 
 

@@ -24,15 +24,21 @@ def car_axis(*, epsilon: float = 1e-2, mass: float = 10.0, amplitude: float = 0.
                   solution at t = 3
     """
     body = Multibody("car_axis", 2, description="two bodies on stiff springs over a wavy road")
-    body.gravity((0.0, -1.0))
     m = 0.5 * epsilon**2 * mass
+    k = body.parameter("k", 1.0, unit="N/m", min=0.0, description="stiffness of the springs").sx
+    rest = body.parameter("rest", 0.5, unit="m", min=0.0, description="length of the springs, unloaded").sx
+    width = body.parameter("width", 1.0, unit="m", positive=True, description="distance of the wheels").sx
+    g = body.parameter("g", 1.0, unit="m/s2", min=0.0, description="gravity").sx
+    bump = body.parameter("bump", amplitude, unit="m", description="amplitude of the road").sx
+    rate = body.parameter("rate", omega, unit="rad/s", description="angular frequency of the road").sx
     left = body.particle(m, (0.0, 0.5), (-0.5, 0.0), name="left")
     right = body.particle(m, (1.0, 0.5), (-0.5, 0.0), name="right")
     wheel = body.particle(0.0, (1.0, 0.0), (0.0, amplitude * omega), weight=False, name="wheel")
-    y = amplitude * ca.sin(omega * time)
-    x = ca.sqrt(1.0 - y**2)
-    body.linear_spring(body.support((0.0, 0.0)), left, 1.0, 0.5)
-    body.linear_spring(wheel, right, 1.0, 0.5)
+    y = bump * ca.sin(rate * time)
+    x = ca.sqrt(width**2 - y**2)
+    body.potential(lambda at: m * g * (at(left)[1] + at(right)[1]))
+    body.linear_spring(body.support((0.0, 0.0)), left, k, rest)
+    body.linear_spring(wheel, right, k, rest)
     body.bar(left, right)
     body.constraint(lambda at: at(wheel) - ca.vertcat(x, y), "road", drive="road")
     body.constraint(lambda at: at(left)[0] * x + at(left)[1] * y, "upright", drive="road")

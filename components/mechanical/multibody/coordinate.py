@@ -89,15 +89,27 @@ class JointCoordinate:
         return angle + 2 * pi * ca.floor((turned - angle) / (2 * pi) + 0.5)
 
     @cached_property
+    def counter_size(self) -> Any:
+        """L of the counter, its length of a radian [m]; of what slides 1."""
+        if not self.angular:
+            return 1.0
+        text = f"length of a radian in the coordinate of {self.joint.name}"
+        made = self.mechanism.made.parameter(
+            f"{self.joint.name}.radian", 1.0, unit="m", positive=True, description=text
+        )
+        return made.sx
+
+    @cached_property
     def counter(self) -> Particle:
-        """A particle without mass at (s, 0) for the coordinate s: of an angle a with all its turns, sin(s - a) = 0."""
+        """A particle without mass at (s, 0) [m] for the coordinate s: of an angle a with all its turns, sin(s/L - a) = 0."""
         m, name, zero = self.mechanism.made, self.joint.name, [0.0] * (self.mechanism.dim - 1)
+        size = self.counter_size
         made = m.particle(0.0, [self._start, *zero], [rate(self.joint), *zero], weight=False, name=f"{name}.counter")
 
         def g(at: Any) -> ca.SX:
             (a, b), s = self._seen(at), at(made)
             if self.angular:
-                first = ca.sin(s[0]) * ca.dot(a.x, b.x) - ca.cos(s[0]) * ca.dot(a.y, b.x)
+                first = ca.sin(s[0] / size) * ca.dot(a.x, b.x) - ca.cos(s[0] / size) * ca.dot(a.y, b.x)
             else:
                 first = s[0] - self._length(a, b)
             return ca.vertcat(first, s[1:])
