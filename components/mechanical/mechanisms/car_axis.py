@@ -29,8 +29,8 @@ def car_axis(*, epsilon: float = 1e-2, mass: float = 10.0, amplitude: float = 0.
     rest = body.parameter("rest", 0.5, unit="m", min=0.0, description="length of the springs, unloaded").sx
     width = body.parameter("width", 1.0, unit="m", positive=True, description="distance of the wheels").sx
     g = body.parameter("g", 1.0, unit="m/s2", min=0.0, description="gravity").sx
-    bump = body.parameter("bump", amplitude, unit="m", description="amplitude of the road").sx
-    rate = body.parameter("rate", omega, unit="rad/s", description="angular frequency of the road").sx
+    bump = body.parameter("amplitude", amplitude, unit="m", description="amplitude of the road").sx
+    rate = body.parameter("omega", omega, unit="rad/s", description="angular frequency of the road").sx
     left = body.particle(m, (0.0, 0.5), (-0.5, 0.0), name="left")
     right = body.particle(m, (1.0, 0.5), (-0.5, 0.0), name="right")
     wheel = body.particle(0.0, (1.0, 0.0), (0.0, amplitude * omega), weight=False, name="wheel")
