@@ -163,6 +163,9 @@ def test_balls_in_line_exchange_their_momenta() -> None:
     b = m.body("b", 3.0, (0.1,) * 3, position=(1.0, 0, 0))
     m.contact("hit", a, b, radius=0.2, radius_a=0.1, restitution=0.5)
     found = ran(m.build(), 6, 0.01, 1.0)
+    meet = (1.0 - 0.2 - 0.1) / 2.0  # s: radii of both
+    assert found.column("hit.gap")[0] == pytest.approx(0.7, abs=1e-15) and found.column("hit.gap").min() >= -1e-13
+    assert found.column("b.position[1]")[-1] == pytest.approx(1.0 + 0.75 * (1.0 - meet), abs=1e-13)
     common, beside = 0.5, 0.5 * 2.0
     speeds = [found.column(f"{n}.momentum[1]")[-1] / mass for n, mass in (("a", 1.0), ("b", 3.0))]
     assert speeds == pytest.approx([common - 0.75 * beside, common + 0.25 * beside], abs=1e-13)

@@ -187,7 +187,7 @@ def add_contact(equations: Placed, pair: ContactPair) -> None:
     for side, body, at in (("a", pair.a, pair.at_a), ("b", pair.b, pair.at_b)):
         local = at if body is None else body.principal(at)
         ends.append(equations.point(body, vector(f"at_{side}", "m", local, "place")))
-    radius = m.parameter(f"{name}.radius", pair.radius, unit="m", min=0.0, description=f"radii of {name}, added").sx
+    radius = m.parameter(f"{name}.radius", pair.reach, unit="m", min=0.0, description=f"radii of {name}, added").sx
     points = [p for body in (pair.a, pair.b) if body is not None for p in equations.particles[id(body)]]
     if pair.normal is None:
 
