@@ -253,8 +253,7 @@ class Multibody:
         with the constraints kept through it; what it loses is booked.  `gap(d)` is made of d.at(point), and of d.integral[name]
         of `rate_integral`.
 
-        A contact throws back and does not hold:
-        what is to rest on something rests on a strain with a rate damper.
+        A contact throws back and does not hold: what is to rest on something rests on a strain with a rate damper.
         Source: Brogliato, Nonsmooth Mechanics (2016), Newton's law of restitution.
         """
         e = parameter(f"{name}.restitution", float(restitution), min=0.0, max=1.0, description=f"of {name}")

@@ -62,7 +62,7 @@ class Compliance:
 
 
 def is_hard(compliance: Compliance | None) -> bool:
-    """Whether there is hard ground, which throws back."""
+    """A contact has hard ground, which throws back."""
     return compliance is None or compliance.skin > 0
 
 
@@ -147,6 +147,12 @@ class ContactPair:
         """Radii of both balls [m]."""
         return self.radius + self.radius_a
 
+    @property
+    def direction(self) -> np.ndarray:
+        """The normal of the plane with length 1, in the frame of a."""
+        assert self.normal is not None
+        return self.normal / np.linalg.norm(self.normal)
+
     def require_apart(self, mechanism: str) -> None:
         """ValueError for a hard contact that overlaps at the start."""
         if is_hard(self.compliance) and self.gap() < -1e-12:
@@ -160,8 +166,8 @@ class ContactPair:
         p, q = (at if body is None else body.at(at) for body, at in ((self.a, self.at_a), (self.b, self.at_b)))
         if self.normal is None:
             return float(np.linalg.norm(q - p)) - self.reach
-        n = self.normal if self.a is None else self.a.rotation @ self.normal
-        return float(n @ (q - p)) / float(np.linalg.norm(n)) - self.reach
+        n = self.direction if self.a is None else self.a.rotation @ self.direction
+        return float(n @ (q - p)) - self.reach
 
 
 class Placed(Protocol):
@@ -202,10 +208,8 @@ def add_contact(equations: Placed, pair: ContactPair) -> None:
             return ca.dot(d, speed(ends[1]) - speed(ends[0])) / ca.norm_2(d)
 
     else:
-        along = pair.normal if pair.a is None else pair.a.axes.T @ pair.normal
-        normal = equations.direction(
-            pair.a, vector("normal", "1", along / np.linalg.norm(along), "normal of the plane")
-        )
+        along = pair.direction if pair.a is None else pair.a.axes.T @ pair.direction
+        normal = equations.direction(pair.a, vector("normal", "1", along, "normal of the plane"))
 
         def invariant(at: Any) -> ca.SX:
             return ca.dot(at(normal), at(ends[1]) - at(ends[0]))

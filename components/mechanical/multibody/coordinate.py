@@ -1,4 +1,4 @@
-"""What the coordinate of a joint carries: damper, spring, motor, rotor, limits, the count of its turns."""
+"""Coordinates of joints with all that they carry: damper, spring, motor, rotor, limits, the count of turns."""
 
 from __future__ import annotations
 
@@ -65,7 +65,14 @@ class JointCoordinate:
         stored = [*self._spring(), *self._limits()]
         energy = (lambda s: sum((e(s) for e in stored), ca.SX(0))) if stored else None
         if self.angular and joint.counted:
-            m.rate_integral(f"{name}.turned", self.points, self.rate, unit=self.unit, start=self._start, energy=energy)
+            m.rate_integral(
+                f"{name}.turned",
+                self.points,
+                self.rate,
+                unit=self.unit,
+                start=joint.begins(self._number),
+                energy=energy,
+            )
         elif energy is not None:
             m.strain(lambda at: self._length(*self._seen(at)), energy)
         if self.mechanism.observe:
@@ -89,22 +96,18 @@ class JointCoordinate:
         return angle + 2 * pi * ca.floor((turned - angle) / (2 * pi) + 0.5)
 
     @cached_property
-    def counter_size(self) -> Any:
-        """L of the counter, its length of a radian [m]; of what slides 1."""
-        if not self.angular:
-            return 1.0
-        text = f"length of a radian in the coordinate of {self.joint.name}"
-        made = self.mechanism.made.parameter(
-            f"{self.joint.name}.radian", 1.0, unit="m", positive=True, description=text
-        )
-        return made.sx
+    def counted(self) -> Callable[[Any], ca.SX]:
+        """The coordinate s of positions, an angle a with all its turns.
 
-    @cached_property
-    def counter(self) -> Particle:
-        """A particle without mass at (s, 0) [m] for the coordinate s: of an angle a with all its turns, sin(s/L - a) = 0."""
-        m, name, zero = self.mechanism.made, self.joint.name, [0.0] * (self.mechanism.dim - 1)
-        size = self.counter_size
-        made = m.particle(0.0, [self._start, *zero], [rate(self.joint), *zero], weight=False, name=f"{name}.counter")
+        It is told by a particle without mass at (L s, 0), of an angle with sin(s - a) = 0 and L the length of a radian.
+        """
+        m, joint, name, zero = self.mechanism.made, self.joint, self.joint.name, [0.0] * (self.mechanism.dim - 1)
+        size: Any = 1.0
+        if self.angular:
+            text = f"length of a radian in the coordinate of {name}"
+            size = m.parameter(f"{name}.radian", 1.0, unit="m", positive=True, description=text).sx
+        start = joint.begins(self._number)
+        made = m.particle(0.0, [start, *zero], [rate(joint), *zero], weight=False, name=f"{name}.counter")
 
         def g(at: Any) -> ca.SX:
             (a, b), s = self._seen(at), at(made)
@@ -115,13 +118,9 @@ class JointCoordinate:
             return ca.vertcat(first, s[1:])
 
         m.constraint(g, f"counter of {name}", multiplier=(f"{name}.counter", "N"), kept=True)
-        return made
+        return lambda at: at(made)[0] / size
 
     # -- parts ------------------------------------------------------------------------------------------------------
-
-    @property
-    def _start(self) -> float:
-        return float(coordinates(self.joint)[self._number]) if self.joint.start is None else self.joint.start
 
     def _seen(self, of: Any) -> tuple[Side, Side]:
         a, b = self.sides

@@ -194,8 +194,8 @@ class Declaration:
             gap = c.gap(self)
             column = ca.jacobian(gap, self.q.sx).T
             for i, angle in zip(self.parts.integrals, self.integral.values(), strict=True):
-                _, form = self.linear_form([Particle(j) for j in range(len(self.parts.masses))], i.rate)
-                column += ca.jacobian(gap, angle.sx) * form.T
+                if ca.depends_on(gap, angle.sx):
+                    column += ca.jacobian(gap, angle.sx) * ca.jacobian(i.rate(self.at, self.speed), self.v.sx).T
             jump = Jump({self.v: ca.densify(column)}, c.restitution.sx, law="unilateral")
             yield StateEvent(Guard(c.name, gap, -1, c.nominal, c.unit), jump=jump)
 

@@ -249,8 +249,7 @@ class Equations:
 
     def _gear(self, gear: Gear) -> None:
         """s_b - ratio s_a stays as it is at the start, of the coordinates s of two joints."""
-        a, b = (self.coordinates[joint.name][0] for joint in (gear.a, gear.b))
-        on_a, on_b = a.counter, b.counter
+        a, b = (self.coordinates[joint.name][0].counted for joint in (gear.a, gear.b))
         text = f"rate of {gear.b.name} by that of {gear.a.name}"
         unit = gear.b.equations.coordinates[0].unit
         what, effort = ("torque", "N.m") if unit == "rad" else ("force", "N")
@@ -259,9 +258,7 @@ class Equations:
             f"{gear.name}.gear_start", gear.start(), unit=unit, description=f"of {gear.name}"
         ).sx
         self.made.constraint(
-            lambda at: at(on_b)[0] / b.counter_size - ratio * at(on_a)[0] / a.counter_size - start,
-            gear.name,
-            multiplier=(f"{gear.name}.lambda", effort),
+            lambda at: b(at) - ratio * a(at) - start, gear.name, multiplier=(f"{gear.name}.lambda", effort)
         )
         if self.observe:
             text = f"{what} of {gear.name} on {gear.b.name}"

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phfmu.components.mechanical.multibody.joint import Joint, coordinates, rate
+from phfmu.components.mechanical.multibody.joint import Joint, rate
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,14 +33,13 @@ class Gear:
 
     @property
     def unit(self) -> str:
-        """Of the ratio."""
+        """The unit of the ratio."""
         a, b = (joint.equations.coordinates[0].unit for joint in (self.a, self.b))
         return "1" if a == b else f"{b}/{a}"
 
     def start(self) -> float:
         """s_b - ratio s_a at the start."""
-        a, b = (float(coordinates(j)[0]) if j.start is None else j.start for j in (self.a, self.b))
-        return b - self.ratio * a
+        return self.b.begins(0) - self.ratio * self.a.begins(0)
 
     def slip(self) -> float:
         """By how much the rates at the start miss the ratio."""

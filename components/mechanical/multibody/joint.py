@@ -169,11 +169,15 @@ class Joint:
         """Its equations at the start [m, rad]."""
         return np.array(rows_at(self.kind, self.planar)(*self.sides(), self.length or 1.0)[0]).ravel()
 
+    def begins(self, number: int) -> float:
+        """A coordinate at the start, with the turns of one that counts them."""
+        return float(coordinates(self)[number]) if self.start is None else self.start
+
     def require_apart(self, mechanism: str) -> None:
         """ValueError where its coordinate is beyond a hard limit at the start."""
         if self.limits is None or not self.limits.hard:
             return
-        value = float(coordinates(self)[0]) if self.start is None else self.start
+        value = self.begins(0)
         for which, end, sign in self.limits.ends:
             if sign * (value - end) < -1e-12:
                 raise ValueError(

@@ -165,8 +165,7 @@ class Mechanism:
                     events NAME.lower and NAME.upper; or `Limits(lower, upper, compliance=Compliance(..))`, which give way
         """
         found = known_kind(kind, self.planar)
-        if any(j.name == name for j in self.joints) or any(b.name == name for b in self.bodies):
-            raise ValueError(f"{self.name}: there are two parts called '{name}'")
+        self._require_new(name)
         for body in (a, b):
             if body is not None and body not in self.bodies:
                 raise ValueError(f"joint '{name}': its body is no body of {self.name}")
@@ -203,8 +202,7 @@ class Mechanism:
         Kept of the coordinates themselves, with all turns, so that nothing slips at the end of any step; no power is lost.
         `assemble` and `mobility` know gears.  Observable: NAME.torque [N.m], or NAME.force [N], on b
         """
-        if any(x.name == name for x in (*self.joints, *self.bodies, *self.parts.contacts, *self.parts.gears)):
-            raise ValueError(f"{self.name}: there are two parts called '{name}'")
+        self._require_new(name)
         for joint in (a, b):
             if joint not in self.joints:
                 raise ValueError(f"gear '{name}': joint '{joint.name}' is no joint of {self.name}")
@@ -250,8 +248,7 @@ class Mechanism:
         Observable:  NAME.gap [m];  errors: ValueError names the contact that overlaps at the start, in `build`
         """
         what = f"contact '{name}'"
-        if any(x.name == name for x in (*self.joints, *self.bodies, *self.parts.contacts)):
-            raise ValueError(f"{self.name}: there are two parts called '{name}'")
+        self._require_new(name)
         if a is b or b not in self.bodies or not (a is None or a in self.bodies):
             raise ValueError(f"{what}: it is between two bodies of {self.name}, or the ground and one")
         across = None if normal is None else self._point(what, normal)
@@ -363,6 +360,11 @@ class Mechanism:
         return mobility(self.bodies, self.joints, self.parts.gears, self.planar)
 
     # -- parts of arguments -----------------------------------------------------------------------------------------
+
+    def _require_new(self, name: str) -> None:
+        """ValueError for a name that another part has."""
+        if any(x.name == name for x in (*self.joints, *self.bodies, *self.parts.contacts, *self.parts.gears)):
+            raise ValueError(f"{self.name}: there are two parts called '{name}'")
 
     def _point(self, what: str, values: Sequence[float] | None) -> np.ndarray:
         """Three entries."""
