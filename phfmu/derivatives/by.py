@@ -1,4 +1,4 @@
-"""What a run is derived by, and how its start moves with that.
+"""Parameters, inputs and start values that a run is derived by, and how its start moves with them.
 
 Where hidden constraints hold at the start (currents that sum to zero, lengths), a parameter that is in them moves the start as
 `phfmu run --project` would.
@@ -35,7 +35,7 @@ class Directions:
 
 @dataclass(frozen=True)
 class By:
-    """What a run is derived by: scalar names in their order, each a parameter, an input or the start of a state."""
+    """Scalar names that a run is derived by, in their order: each is a parameter, an input or the start of a state."""
 
     names: tuple[str, ...]
     directions: Directions
@@ -104,6 +104,6 @@ def _held(model: Model, given: Array, x: Array, p: Array, t: float, dx: Array, d
 
 
 def _size(values: Array, along: Array) -> float:
-    """How far along a direction a move of the size of the values goes."""
+    """The way along a direction that moves the values by their size."""
     moved = along != 0
     return float(np.max(np.abs(values[moved]) / np.abs(along[moved]), initial=0.0))

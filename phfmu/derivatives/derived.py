@@ -35,7 +35,7 @@ class DerivedSteps(Monolithic):
 
     @property
     def begun(self) -> bool:
-        """Whether steps were taken: what is set now belongs to no start."""
+        """Steps were taken: a value that is set now belongs to no start."""
         return self._last is not None
 
     def cut(self, name: str) -> None:

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.declare.parameter_limits import limits
+from phfmu.derivatives.between import Between
 from phfmu.derivatives.sensitive import SensitiveSteps
 from phfmu.discretise.model import Model
 from phfmu.outcome.status import StepFailure
@@ -240,7 +241,7 @@ class _Problem:
         found = []
         for m in measured:
             t = e.data.time[there[m]]
-            at = _Between(result.time, t)
+            at = Between(result.time, t, "measurements", "; give --stop")
             self._between = max(self._between, at.between)
             slope = np.column_stack([at.of(result.column(derivative_name(m, n))) for n in self.free])
             found.append((t, m, e.data.column(m)[there[m]], at.of(result.column(m)), slope))
@@ -272,26 +273,6 @@ class _Problem:
             self.runs, str(best.message), _correlated(by_signal), tuple(curves), self._between, names,
             {m: u for m, u in self.stepper.units.items() if m in residuals},
         )  # fmt: skip
-
-
-class _Between:
-    """Values at times from rows, on the line between two of them; `between`: how many times are on no row."""
-
-    def __init__(self, rows: Array, t: Array):
-        close = 1e-9 * max(float(rows[-1] - rows[0]), 1e-300) / max(len(rows) - 1, 1)
-        if len(t) and (t[0] < rows[0] - close or t[-1] > rows[-1] + close):
-            raise ValueError(
-                f"measurements from {t[0]:g} s to {t[-1]:g} s are not within the run, {rows[0]:g} s to {rows[-1]:g} s; give "
-                "--stop"
-            )
-        k = np.clip(np.searchsorted(rows, t + close, "right") - 1, 0, max(len(rows) - 2, 0))
-        width = np.where(rows[k + 1] > rows[k], rows[k + 1] - rows[k], 1.0) if len(rows) > 1 else 1.0
-        part = np.clip((t - rows[k]) / width, 0.0, 1.0)
-        self._k, self._part = k, part
-        self.between = int(np.sum((part > 1e-6) & (part < 1 - 1e-6)))
-
-    def of(self, values: Array) -> Array:
-        return values[self._k] + self._part * (values[np.minimum(self._k + 1, len(values) - 1)] - values[self._k])
 
 
 def _rms(r: Array) -> float:

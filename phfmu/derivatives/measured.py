@@ -22,7 +22,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from phfmu.sweeps.measures import mean, measures
+from phfmu.derivatives.between import Between
+from phfmu.sweeps.measures import NUMBERS, mean, measures
 
 Array = NDArray[np.float64]
 Columns = Mapping[str, Array]
@@ -134,16 +135,18 @@ def _peak(v: Array) -> int:
     return int(np.abs(v).argmax())
 
 
-#: kind -> the number, and its derivative by each row, of times and values
-KINDS: dict[str, tuple[Callable[[Array, Array], float], Callable[[Array, Array], Array]]] = {
-    "first": (lambda t, v: float(v[0]), lambda t, v: _one(0, len(v))),
-    "last": (lambda t, v: float(v[-1]), lambda t, v: _one(-1, len(v))),
-    "min": (lambda t, v: float(v.min()), lambda t, v: _one(int(v.argmin()), len(v))),
-    "max": (lambda t, v: float(v.max()), lambda t, v: _one(int(v.argmax()), len(v))),
-    "peak": (lambda t, v: float(np.abs(v).max()), lambda t, v: _one(_peak(v), len(v), float(np.sign(v[_peak(v)])))),
-    "mean": (mean, lambda t, v: _trapezoidal(t) / (t[-1] - t[0])),
-    "rms": (lambda t, v: float(np.sqrt(mean(t, v * v))), _of_rms),
-    "integral": (lambda t, v: float(np.trapezoid(v, t)), lambda t, v: _trapezoidal(t)),
+#: kind -> the number, of times and values
+KINDS: dict[str, Callable[[Array, Array], float]] = NUMBERS | {"integral": lambda t, v: float(np.trapezoid(v, t))}
+#: kind -> its derivative by each row, of those that have one
+WEIGHTS: dict[str, Callable[[Array, Array], Array]] = {
+    "first": lambda t, v: _one(0, len(v)),
+    "last": lambda t, v: _one(-1, len(v)),
+    "min": lambda t, v: _one(int(v.argmin()), len(v)),
+    "max": lambda t, v: _one(int(v.argmax()), len(v)),
+    "peak": lambda t, v: _one(_peak(v), len(v), float(np.sign(v[_peak(v)]))),
+    "mean": lambda t, v: _trapezoidal(t) / (t[-1] - t[0]),
+    "rms": _of_rms,
+    "integral": lambda t, v: _trapezoidal(t),
 }
 
 
@@ -162,11 +165,11 @@ class Rows:
         return self.of.signals
 
     def value(self, t: Array, columns: Columns) -> float:
-        return KINDS[self.kind][0](t, self.of.over(columns)[0])
+        return KINDS[self.kind](t, self.of.over(columns)[0])
 
     def weights(self, t: Array, columns: Columns) -> dict[str, Array]:
         values, slopes = self.of.over(columns)
-        own = KINDS[self.kind][1](t, values)
+        own = WEIGHTS[self.kind](t, values)
         return {n: own * slopes[:, i] for i, n in enumerate(self.of.signals)}
 
 
@@ -185,14 +188,13 @@ class At:
         return self.of.signals
 
     def value(self, t: Array, columns: Columns) -> float:
-        return float(self._share(t) @ self.of.over(columns)[0])
+        values = self.of.over(columns)[0]
+        return float(values[-1]) if self.t is None else float(Between(t, np.array([self.t])).of(values)[0])
 
     def weights(self, t: Array, columns: Columns) -> dict[str, Array]:
-        own, slopes = self._share(t), self.of.over(columns)[1]
+        slopes = self.of.over(columns)[1]
+        own = _one(-1, len(t)) if self.t is None else Between(t, np.array([self.t])).back(np.ones(1))
         return {n: own * slopes[:, i] for i, n in enumerate(self.of.signals)}
-
-    def _share(self, t: Array) -> Array:
-        return _one(-1, len(t)) if self.t is None else between(t, np.array([self.t]))[0]
 
 
 @dataclass(frozen=True)
@@ -215,28 +217,13 @@ class SumOfSquares:
         return float(np.sum(self._misfit(t, columns)[1] ** 2))
 
     def weights(self, t: Array, columns: Columns) -> dict[str, Array]:
-        share, misfit = self._misfit(t, columns)
-        return {self.signal: 2.0 * (misfit @ share) / self.weight}
+        between, misfit = self._misfit(t, columns)
+        return {self.signal: 2.0 * between.back(misfit) / self.weight}
 
-    def _misfit(self, t: Array, columns: Columns) -> tuple[Array, Array]:
+    def _misfit(self, t: Array, columns: Columns) -> tuple[Between, Array]:
         there = np.isfinite(np.asarray(self.data, float))
-        share = between(t, np.asarray(self.times, float)[there])
-        return share, (share @ columns[self.signal] - np.asarray(self.data, float)[there]) / self.weight
-
-
-def between(rows: Array, t: Array) -> Array:
-    """Shares (times x rows) of the rows in values on the line between two of them; ValueError for times outside the run."""
-    close = 1e-9 * max(float(rows[-1] - rows[0]), 1e-300) / max(len(rows) - 1, 1)
-    if len(t) and (t.min() < rows[0] - close or t.max() > rows[-1] + close):
-        raise ValueError(
-            f"times from {t.min():g} s to {t.max():g} s are not within the run, {rows[0]:g} s to {rows[-1]:g} s"
-        )
-    k = np.clip(np.searchsorted(rows, t + close, "right") - 1, 0, max(len(rows) - 2, 0))
-    part = np.clip((t - rows[k]) / np.where(rows[k + 1] > rows[k], rows[k + 1] - rows[k], 1.0), 0.0, 1.0)
-    share = np.zeros((len(t), len(rows)))
-    share[np.arange(len(t)), k] = 1.0 - part
-    share[np.arange(len(t)), k + 1] += part
-    return share
+        between = Between(t, np.asarray(self.times, float)[there])
+        return between, (between.of(columns[self.signal]) - np.asarray(self.data, float)[there]) / self.weight
 
 
 def run_measures(of: Sequence[str | RunMeasure], signals: Sequence[str]) -> list[RunMeasure]:
@@ -255,11 +242,11 @@ def _parsed(text: str, signals: Sequence[str]) -> list[RunMeasure]:
     if at is not None:
         return [At(expression(at[1], signals), None if at[2] == "end" else float(at[2]))]
     form = re.fullmatch(r"\s*(\w+)\((.+)\)\s*", text)
-    if form is not None and form[1] in KINDS and (not set("*?") & set(form[2]) or _arithmetic(form[2], signals)):
+    if form is not None and form[1] in WEIGHTS and (not set("*?") & set(form[2]) or _arithmetic(form[2], signals)):
         return [Rows(form[1], expression(form[2], signals))]
     own = measures([text], signals)
-    if times := [m for m in own if m.kind not in KINDS]:
-        raise ValueError(f"{times[0]} is the time of a row, which does not move; measures: {', '.join(KINDS)}")
+    if times := [m for m in own if m.kind not in WEIGHTS]:
+        raise ValueError(f"{times[0]} is the time of a row, which does not move; measures: {', '.join(WEIGHTS)}")
     return [Rows(m.kind, expression(m.signal, signals)) for m in own]
 
 
