@@ -25,7 +25,7 @@ class _Tape(ctypes.Structure):
 
     _fields_ = [
         *((n, ctypes.c_void_p) for n in ("take", "rows")),
-        *((n, ctypes.c_int) for n in ("room", "width", "n", "full", "parameters")),
+        *((n, ctypes.c_int) for n in ("room", "width", "n", "full")),
     ]
 
 
@@ -34,7 +34,6 @@ class _Parts(ctypes.Structure):
 
     _fields_ = [
         ("n", ctypes.c_int),
-        ("parameters", ctypes.c_int),
         *((n, ctypes.c_void_p) for n in ("rows", "row", "part")),
     ]
 
@@ -64,8 +63,8 @@ def _typed(lib: ctypes.CDLL) -> ctypes.CDLL:
     """With the signatures of reverse.h."""
     pointer, integer, size = ctypes.c_void_p, ctypes.c_int, ctypes.c_size_t
     signatures: Signatures = {
-        "ph_tape_width": (integer, [pointer, integer]),
-        "ph_tape_on": (None, [pointer, pointer, pointer, integer, integer]),
+        "ph_tape_width": (integer, [pointer]),
+        "ph_tape_on": (None, [pointer, pointer, pointer, integer]),
         "ph_reverse_size": (size, [pointer, pointer, pointer, integer]),
         "ph_reverse_init": (pointer, [pointer, pointer, pointer, pointer, integer]),
         "ph_reverse_width": (integer, [pointer]),
@@ -77,35 +76,30 @@ def _typed(lib: ctypes.CDLL) -> ctypes.CDLL:
 
 
 class NativeTape:
-    """The parts of steps that an instance takes in a `with` block, `room` of them.
+    """The parts of steps that an instance takes in a `with` block, `room` of them."""
 
-    `parameters`: each with the parameters it was taken with.
-    """
-
-    def __init__(self, instance: NativeInstance, room: int, parameters: bool = False):
+    def __init__(self, instance: NativeInstance, room: int):
         self._instance, self._lib = instance, _typed(instance.handle.lib)
-        self.parameters = parameters
-        self.width = self._lib.ph_tape_width(instance._tables.pointer, int(parameters))
-        self._rows, self._tape = np.empty((room, self.width)), _Tape()
+        self._rows = np.empty((room, self._lib.ph_tape_width(instance._tables.pointer)))
+        self._tape = _Tape()
 
     def __enter__(self) -> NativeTape:
         self._lib.ph_tape_on(
-            self._instance.handle.instance, ctypes.addressof(self._tape), self._rows.ctypes.data, len(self._rows),
-            int(self.parameters),
-        )  # fmt: skip
+            self._instance.handle.instance, ctypes.addressof(self._tape), self._rows.ctypes.data, len(self._rows)
+        )
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._lib.ph_tape_on(self._instance.handle.instance, None, None, 0, 0)
+        self._lib.ph_tape_on(self._instance.handle.instance, None, None, 0)
 
     @property
     def full(self) -> bool:
-        """Whether a part found no room."""
+        """A part found no room."""
         return bool(self._tape.full)
 
     @property
     def rows(self) -> Floats:
-        """[t | h | states at the start | unknowns | inputs at the nodes | parameters] of each part (n x width)."""
+        """[t | h | states at the start | unknowns | inputs at the nodes] of each part (n x width)."""
         return self._rows[: self._tape.n]
 
 
@@ -143,7 +137,7 @@ class NativeReverse:
 
     def __init__(self, model: Model, made: Made, n: int):
         self._model, self._lib = model, _typed(made.lib)
-        self._tables, self._functions = made.tables, _functions(made)
+        self._functions = _functions(made)
         self._memory, status = placed(self._lib, "ph", made.tables.pointer)
         if status:
             raise RuntimeError(f"{model.name}: no memory of an instance")
@@ -163,8 +157,7 @@ class NativeReverse:
         self._lib.ph_set_parameters(self._instance, np.ascontiguousarray(parameters).ctypes.data)
         row, part = np.ascontiguousarray(row, np.int32), np.ascontiguousarray(part, float)
         given, bar = np.ascontiguousarray(told.row, np.int32), np.ascontiguousarray(told.bar, float)
-        own = rows.shape[1] > self._lib.ph_tape_width(self._tables.pointer, 0)
-        parts = _Parts(len(rows), int(own), rows.ctypes.data, row.ctypes.data, part.ctypes.data)
+        parts = _Parts(len(rows), rows.ctypes.data, row.ctypes.data, part.ctypes.data)
         at = ctypes.c_double()
         bars = _RowBars(len(given), given.ctypes.data, bar.ctypes.data)
         if self._lib.ph_reverse_steps(self._in, parts, bars, at):

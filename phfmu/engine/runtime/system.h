@@ -164,9 +164,8 @@ struct ph_tape {
     void (*take)(ph_tape *tape, const ph_instance *in, double h);
     double *rows; /* room x width */
     int room, width;
-    int n;          /* rows taken */
-    int full;       /* 1: a part found no room */
-    int parameters; /* 1: rows have the parameters too */
+    int n;    /* rows taken */
+    int full; /* 1: a part found no room */
 };
 
 struct ph_instance {

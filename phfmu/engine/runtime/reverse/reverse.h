@@ -12,12 +12,11 @@
 
 #include "system.h"
 
-/* A row of a tape: t, h, the states at the start, the unknowns, the inputs at the nodes, and the parameters
- * if it has them. A part that begins where an earlier one did, or before, takes its place: that one was taken
- * back. */
-PH_API int ph_tape_width(const ph_model *model, int parameters);
+/* A row of a tape: t, h, the states at the start, the unknowns, the inputs at the nodes. A part that begins
+ * where an earlier one did, or before, takes its place: that one was taken back. */
+PH_API int ph_tape_width(const ph_model *model);
 /* Parts of steps of the instance go to the tape from now on; NULL: no longer. */
-PH_API void ph_tape_on(ph_instance *in, ph_tape *tape, double *rows, int room, int parameters);
+PH_API void ph_tape_on(ph_instance *in, ph_tape *tape, double *rows, int room);
 
 /* Lengths of the bars of one measure, one after the other. */
 typedef struct ph_bars {
@@ -36,10 +35,9 @@ typedef struct ph_row_bars {
     const double *bar; /* n x measures x width */
 } ph_row_bars;
 
-/* Rows of a tape, all with the parameters of the instance unless they have their own. */
+/* Rows of a tape, all with the parameters of the instance. */
 typedef struct ph_parts {
     int n;
-    int parameters;
     const double *rows; /* n x width */
     const int *row;     /* n: the row of the run that each part belongs to */
     const double *part; /* n: what it is of that row's step */

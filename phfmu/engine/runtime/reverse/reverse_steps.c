@@ -21,7 +21,7 @@ int ph_reverse_width(const ph_model *model) {
 }
 
 /* The part of a tape's row becomes the point of the system of steps; its matrix and factor. */
-static int place(ph_reverse *r, const double *row, int parameters, int late) {
+static int place(ph_reverse *r, const double *row, int late) {
     ph_instance *in = r->in;
     ph_system *s = &in->step;
     const ph_plan *p = s->plan;
@@ -29,8 +29,6 @@ static int place(ph_reverse *r, const double *row, int parameters, int late) {
     memcpy(r->x, row + 2, sizeof(double) * (size_t)p->nx);
     r->x[p->nx] = row[0];
     memcpy(s->y, w, sizeof(double) * (size_t)(p->nw + p->nu * p->k));
-    if (parameters && p->np > 0)
-        memcpy(in->p, w + p->nw + p->nu * p->k, sizeof(double) * (size_t)p->np);
     ph_eval_h(s, row[1]);
     ph_eval(s, 1, late);
     if (p->nw == 0)
@@ -71,6 +69,21 @@ static void gather(const ph_reverse *r, const ph_plan *p, const ph_bars *at) {
             at->u[j] += r->yb[p->nw + i * p->nu + j];
 }
 
+/* The bars of the unknowns, b, go through the solution of the equations to those of x, u and p. */
+static int unknowns_back(ph_reverse *r, ph_system *s, const ph_bars *at) {
+    const ph_plan *p = s->plan;
+    if (p->nw == 0)
+        return PH_OK;
+    if (ph_back_solve(r, s))
+        return PH_SINGULAR;
+    ph_back_clear(r, s);
+    for (int i = 0; i < p->nw; i++)
+        r->rb[i] = -r->lambda[i];
+    ph_back(r, s, NULL, NULL, at->p);
+    gather(r, p, at);
+    return PH_OK;
+}
+
 /* One measure over one part; bar: of its row, or NULL. */
 static int part_back(ph_reverse *r, const ph_bars *at, const double *bar, double part, int tells) {
     ph_system *s = &r->in->step;
@@ -87,16 +100,7 @@ static int part_back(ph_reverse *r, const ph_bars *at, const double *bar, double
             r->b[i] += r->yb[i];
         gather(r, p, at);
     }
-    if (p->nw == 0)
-        return PH_OK;
-    if (ph_back_solve(r, s))
-        return PH_SINGULAR;
-    ph_back_clear(r, s);
-    for (int i = 0; i < p->nw; i++)
-        r->rb[i] = -r->lambda[i];
-    ph_back(r, s, NULL, NULL, at->p);
-    gather(r, p, at);
-    return PH_OK;
+    return unknowns_back(r, s, at);
 }
 
 static int some(const double *values, int n) {
@@ -110,7 +114,7 @@ int ph_reverse_steps(ph_reverse *r, const ph_parts *parts, const ph_row_bars *to
     ph_instance *in = r->in;
     ph_system *s = &in->step;
     const ph_plan *p = s->plan;
-    const int own = p->nx + p->na + 2 * p->nq + p->ncomp, width = ph_tape_width(in->model, parts->parameters);
+    const int own = p->nx + p->na + 2 * p->nq + p->ncomp, width = ph_tape_width(in->model);
     int next = told->n - 1, last = -1, status = PH_OK;
     ph_newton_bare(s, p->nhold > 0 && !p->vanishing);
     s->x = r->x;
@@ -135,7 +139,7 @@ int ph_reverse_steps(ph_reverse *r, const ph_parts *parts, const ph_row_bars *to
             }
             tells |= (mine && some(mine + p->nx, p->na + p->nq)) || some(b.pairs, p->nq + p->ncomp);
         }
-        status = place(r, row, parts->parameters, tells);
+        status = place(r, row, tells);
         for (int c = 0; c < r->n && status == PH_OK; c++) {
             const ph_bars b = bars_of(r, c);
             status = part_back(r, &b, bar ? bar + c * own : NULL, parts->part[k], tells);
@@ -175,14 +179,7 @@ int ph_reverse_instant(ph_reverse *r, const double *bar) {
         ph_back(r, s, mine + p->na + p->nq + p->nobs, NULL, at.p);
         memcpy(r->b, r->yb, sizeof(double) * (size_t)p->nw);
         gather(r, p, &at);
-        if (p->nw == 0)
-            continue;
-        status = ph_back_solve(r, s);
-        ph_back_clear(r, s);
-        for (int i = 0; i < p->nw; i++)
-            r->rb[i] = -r->lambda[i];
-        ph_back(r, s, NULL, NULL, at.p);
-        gather(r, p, &at);
+        status = unknowns_back(r, s, &at);
     }
     ph_lu_adopt(&s->lu, s->pivot);
     return status;

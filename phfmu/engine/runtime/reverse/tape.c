@@ -3,9 +3,9 @@
 
 #include "reverse.h"
 
-int ph_tape_width(const ph_model *model, int parameters) {
+int ph_tape_width(const ph_model *model) {
     const ph_plan *p = model->step;
-    return 2 + p->nx + p->nw + p->nu * p->k + (parameters ? p->np : 0);
+    return 2 + p->nx + p->nw + p->nu * p->k;
 }
 
 static double *put(double *to, const double *from, int n) {
@@ -31,17 +31,11 @@ static void take(ph_tape *tape, const ph_instance *in, double h) {
     *to++ = h;
     to = put(to, in->table, p->nx);
     to = put(to, w, p->nw);
-    to = put(to, in->step.y + p->nw, p->nu * p->k);
-    if (tape->parameters)
-        put(to, in->p, p->np);
+    put(to, in->step.y + p->nw, p->nu * p->k);
 }
 
-void ph_tape_on(ph_instance *in, ph_tape *tape, double *rows, int room, int parameters) {
+void ph_tape_on(ph_instance *in, ph_tape *tape, double *rows, int room) {
     if (tape)
-        *tape = (ph_tape){.take = take,
-                          .rows = rows,
-                          .room = room,
-                          .width = ph_tape_width(in->model, parameters),
-                          .parameters = parameters};
+        *tape = (ph_tape){.take = take, .rows = rows, .room = room, .width = ph_tape_width(in->model)};
     in->tape = tape;
 }
