@@ -83,9 +83,9 @@ class _Rows:
     """The rows of one kind, in order of steps and names; events in order of time and as they were written."""
 
     def __init__(self, table: pa.Table, kind: RowKind):
-        import pyarrow as pa
+        import pyarrow.compute as pc
 
-        own = table.filter(pa.array([row == kind for row in table["row"].to_pylist()]))
+        own = table.filter(pc.field("row") == str(kind))
         self.n = own.num_rows
         self.columns = {n: own[n].combine_chunks() for n in COLUMNS if n in own.column_names and n != "row"}
         self.time = own["t0"].to_numpy()
@@ -108,7 +108,7 @@ class _Rows:
         return np.array(column.to_pylist(), object)[self.order]
 
     def absent(self, name: str) -> NDArray[np.bool_]:
-        """Where a column in order has nothing."""
+        """Entries of a column in order that are empty."""
         column = self.columns.get(name)
         if column is None:
             return np.ones(self.n, bool)
@@ -131,7 +131,7 @@ class _Rows:
 
 
 def _of_kind(kind: RowKind, was: _Rows, now: _Rows) -> Iterator[Difference]:
-    """What differs in the first row group of a kind that has a difference, and a row that only one log has."""
+    """Differences in the first rows of a kind that have some, or the first row that only one log has."""
     n = min(was.n, now.n)
     bad = dict[str, NDArray[np.bool_]]()
     for name in dict.fromkeys((*was.columns, *now.columns)):

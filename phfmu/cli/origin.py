@@ -1,32 +1,33 @@
-"""Where a run came from: its options, its files, the software and the machine, kept in the metadata of its audit."""
+"""The origin of a run: its options, its files, the software and the machine, kept in the metadata of its audit."""
 
 from __future__ import annotations
 
 import argparse
 import hashlib
 import platform
-import sys
 from collections.abc import Mapping
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 #: key of the metadata
 KEY = "phfmu.origin"
-#: options of what is written and shown, which do not change the run
-SHOWN = ("call", "verb", "output", "plot", "view", "audit", "quiet", "units_row", "every", "signals", "accuracy")
+#: options of what is written and shown, which do not change the run, and their values in a run that shows nothing
+SHOWN: dict[str, Any] = {
+    "output": None, "plot": None, "view": None, "audit": "none", "quiet": True, "units_row": False, "every": None, "signals": [],
+    "accuracy": False,
+}  # fmt: skip
 #: packages that compute
 PACKAGES = ("phfmu", "numpy", "scipy", "casadi")
 
 
 def origin(args: argparse.Namespace) -> dict[str, Any]:
     """Options, SHA-256 of files that they name, versions and machine of a run, as JSON can hold them."""
-    options = {name: value for name, value in vars(args).items() if name not in SHOWN}
+    options = {name: value for name, value in vars(args).items() if name not in (*SHOWN, "call", "verb")}
     return {"options": options, "files": _digests(options), "software": _software(), "machine": machine()}
 
 
 def changed(was: Mapping[str, Any], args: argparse.Namespace) -> list[str]:
-    """What is not as it was, one line each: units and other files, libraries, machine."""
+    """Units and other files, libraries and properties of the machine that are not as they were, one line each."""
     now, lines = origin(args), list[str]()
     words = {"files": "file", "software": "library", "machine": "machine"}
     for part, word in words.items():
@@ -39,30 +40,19 @@ def changed(was: Mapping[str, Any], args: argparse.Namespace) -> list[str]:
 
 
 def machine() -> dict[str, str]:
-    """What may change the bits of a computation: processor, system, C library."""
+    """Properties of the machine that may change the bits of a computation: processor, system, C library."""
+    from phfmu.studies.bench.machine import processor_name
+
     return {
-        "processor": f"{platform.machine()} {_model()}".strip(), "system": platform.system(),
+        "processor": f"{platform.machine()} {processor_name()}", "system": platform.system(),
         "C library": " ".join(platform.libc_ver()).strip(),
     }  # fmt: skip
 
 
-def _model() -> str:
-    """The name of the processor, where the system tells it."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-    except OSError:
-        return platform.processor()
-    return next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), "")
-
-
 def _software() -> dict[str, str]:
-    found = {"python": sys.version.split()[0]}
-    for package in PACKAGES:
-        try:
-            found[package] = version(package)
-        except PackageNotFoundError:
-            continue
-    return found
+    from phfmu.studies.bench.machine import installed
+
+    return {"python": platform.python_version(), **installed(PACKAGES)}
 
 
 def _digests(options: Mapping[str, Any]) -> dict[str, str]:

@@ -45,6 +45,8 @@ class Outputs:
         self._view: Path | None = None
         self._moved: LiveMotion | None = None
         self._shapes: tuple[Shape, ...] = ()
+        #: metadata of the audit: options, files, software and machine, as they are before the run
+        self._origin: Mapping[str, object] = {}
         #: wall time spent on the result table
         self.seconds = 0.0
         #: what the picture does not show
@@ -56,9 +58,11 @@ class Outputs:
             self._table_path = Path(args.output).absolute()
         if audit:
             from phfmu.audit.log.archive import require_free
+            from phfmu.cli.origin import KEY, origin
 
             require_free(audit, f"--audit {audit}")
             self._audit_path = Path(audit).absolute()
+            self._origin = {KEY: origin(args)}
         if args.plot:
             from phfmu.report.picture.draw import check_picture
 
@@ -74,15 +78,13 @@ class Outputs:
             if here in (self._audit_path.resolve(), self._audit_path.with_suffix(".parquet").resolve()):
                 raise ValueError(f"-o and --audit both name {args.output}; give the audit a file of its own")
 
-    def begin(
-        self, about: dict[str, str], shapes: tuple[Shape, ...] = (), origin: Mapping[str, object] | None = None
-    ) -> None:
-        """Open the audit of a run with these shapes and origin; pictures are called by what `about` tells."""
+    def begin(self, about: dict[str, str], shapes: tuple[Shape, ...] = ()) -> None:
+        """Open the audit of a run with these shapes; pictures are called by what `about` tells."""
         self._title, self._target, self._shapes = ": ".join(about.values()), about["target"], shapes
         if self._audit_path:
             from phfmu.audit import AuditWriter
 
-            self.sink = AuditWriter(self._audit_path, {**about, **(origin or {})}, self._table_path)
+            self.sink = AuditWriter(self._audit_path, {**about, **self._origin}, self._table_path)
 
     def columns(
         self, options: Options, events: Iterable[Event], names: Sequence[str], units: Sequence[str], kinds: Sequence[str],

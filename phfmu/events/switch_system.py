@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.variable import _sx, time
-from phfmu.terms.canonical import member
 from phfmu.terms.extract import extract
 from phfmu.terms.extract_energy import component_energies
 from phfmu.terms.port_impulses import masses
@@ -158,7 +157,7 @@ class SwitchSystem:
         self._rates = ca.Function("rates", [x, a, u, p, time], [ca.densify(r) for r in out])
         gradients = ca.jacobian(ca.vertcat(*component_energies(terms)), x)
         self.equations = Equations(x, a, u, p, [*out, mass], gradients)
-        self.owners = [member(terms.members, s.owner) for s in model.switches]
+        self.owners = [terms.member(s.owner) for s in model.switches]
         names = [n for v in symbolic.parameters for n in v.names()]
         self._switches = model.switches
         self.places = [names.index(s.mode_name) for s in model.switches]

@@ -13,10 +13,9 @@ from phfmu.declare.energy import energy
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.holonomic import Holonomic
 from phfmu.declare.phdae import PHDAE
-from phfmu.declare.port import Port
 from phfmu.declare.variable import Variable, algebraic, state, time
-from phfmu.importers.naming import PLAIN, scalar_names
-from phfmu.importers.symbolic import acting, as_parameters, shaped
+from phfmu.importers.naming import scalar_names
+from phfmu.importers.symbolic import acting, as_parameters, as_ports, shaped, show_matrices
 from phfmu.importers.sympy_expressions import Converter
 
 
@@ -56,19 +55,12 @@ def from_lagrangian(
     """
     q = tuple(v if isinstance(v, Variable) else state(_name(v)) for v in coordinates)
     v = _velocities(name, q, velocities)
-    p, ports = (
-        as_parameters(parameters),
-        tuple(x if isinstance(x, Port) else Port(str(x), PLAIN, "effort", {}) for x in inputs),
-    )
+    p, ports = as_parameters(parameters), as_ports(inputs)
     system = _Symbols(name, scalar_names(q), scalar_names(v))
-    labels = (
-        list(constraints)
-        if isinstance(constraints, Mapping)
-        else [f"constraint {i + 1}" for i in range(len(constraints))]
-    )
-    given = list(constraints.values()) if isinstance(constraints, Mapping) else list(constraints)
+    if not isinstance(constraints, Mapping):
+        constraints = {f"constraint {i}": e for i, e in enumerate(constraints, 1)}
     L, F = system.plain(L), None if dissipation is None else system.plain(dissipation)
-    g, B = [system.plain(e) for e in given], None if B is None else system.plain(B)
+    B = None if B is None else system.plain(B)
 
     symbols = {s: x.sx[i] for x in (*q, *v, *p) for i, s in enumerate(x.names())}
     convert, moving = Converter(name, symbols), Converter(name, {"t": time} | symbols)
@@ -83,26 +75,27 @@ def from_lagrangian(
         found["B"] = convert.matrix("B", shaped(name, "B", B, (n, m)))
     elif m:
         raise DeclarationError(f"{name}: B", f"is missing, there are {m} inputs", "give B, n x m", "shape")
-    terms = {f"V: {e}": convert.expression("V", e) for e in _summands(V)}
-    gaps = [moving.expression(label, e) for label, e in zip(labels, g, strict=True)]
+    terms = [convert.expression("V", e) for e in _summands(V)]
+    gaps = {label: moving.expression(label, system.plain(e)) for label, e in constraints.items()}
     if show is not None:
-        _show(show, found, terms, dict(zip(labels, gaps, strict=True)), scalar_names(v), scalar_names(ports))
+        show_matrices(show, found, scalar_names(v), scalar_names(ports))
+        for line in (*(f"V: {e}" for e in terms), *(f"{label}: 0 = {e}" for label, e in gaps.items())):
+            show(line)
 
-    multipliers = (algebraic("lambda", len(g) if len(g) > 1 else None, description="multipliers"),) if g else ()
+    multiplier = algebraic("lambda", len(gaps) if len(gaps) > 1 else None, description="multipliers")
     return PHDAE(
         name,
         states=(*q, *v),
-        algebraics=multipliers,
+        algebraics=(multiplier,) if gaps else (),
         parameters=p,
-        energies=(*_kinetic(v, found["M"]), *(energy(e) for e in terms.values())),
+        energies=(*_kinetic(v, found["M"]), *(energy(e) for e in terms)),
         E={v: found["M"]},
         structure=(*(skew(a, w, 1.0) for a, w in zip(q, v, strict=True)), *_blocks(v, found.get("gyroscopic"))),
         dissipation=_blocks(v, found.get("R")),
         ports=acting(ports, v, found.get("B")),
         constraints=tuple(
-            Holonomic(m.part(i, 1) if len(g) > 1 else m, e, label=label)
-            for m in multipliers
-            for i, (label, e) in enumerate(zip(labels, gaps, strict=True))
+            Holonomic(multiplier.part(i, 1) if len(gaps) > 1 else multiplier, e, label=label)
+            for i, (label, e) in enumerate(gaps.items())
         ),
         description=description,
     )  # fmt: skip
@@ -228,17 +221,3 @@ def _kinetic(v: tuple[Variable, ...], M: ca.SX) -> list[Any]:
 
 def _blocks(v: tuple[Variable, ...], matrix: ca.SX | None) -> tuple[Block, ...]:
     return () if matrix is None else (block(v, matrix),)
-
-
-def _show(
-    show: Callable[[str], object], matrix: Mapping[str, ca.SX], terms: Mapping[str, ca.SX], gaps: Mapping[str, ca.SX],
-    rows: Sequence[str], inputs: Sequence[str],
-) -> None:  # fmt: skip
-    for what, m in matrix.items():
-        columns = inputs if what == "B" else rows
-        for r, c in zip(*m.sparsity().get_triplet(), strict=True):
-            show(f"{what}[{rows[r]}, {columns[c]}] = {m[r, c]}")
-    for e in terms.values():
-        show(f"V: {e}")
-    for label, e in gaps.items():
-        show(f"{label}: 0 = {e}")

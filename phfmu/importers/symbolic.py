@@ -51,7 +51,7 @@ def from_sympy(
     """
     x = tuple(v if isinstance(v, Variable) else state(str(v)) for v in states)
     p = as_parameters(parameters)
-    ports = tuple(q if isinstance(q, Port) else Port(str(q), PLAIN, "effort", {}) for q in inputs)
+    ports = as_ports(inputs)
     n, m = sum(v.n for v in x), sum(q.n for q in ports)
     x, E = _split(name, x, H, E, n)
     symbols = {s: v.sx[i] for v in (*x, *p) for i, s in enumerate(v.names())}
@@ -61,7 +61,8 @@ def from_sympy(
         raise DeclarationError(f"{name}: B", f"is missing, there are {m} inputs", "give B, n x m", "shape")
     hamiltonian = convert.expression("H", H)
     if show is not None:
-        _show(show, hamiltonian, matrix, scalar_names(x), scalar_names(ports))
+        show(f"H = {hamiltonian}")
+        show_matrices(show, matrix, scalar_names(x), scalar_names(ports))
     inner = [i for i, v in enumerate(entries(x)) if v.kind is VariableKind.STATE]
     held = tuple(entries(x)[i] for i in inner)
     E1 = matrix["E"][inner, inner] if "E" in matrix else None
@@ -90,6 +91,11 @@ def as_parameters(given: Mapping[Any, float] | Sequence[Variable]) -> tuple[Vari
     if isinstance(given, Mapping):
         return tuple(parameter(str(s), float(value)) for s, value in given.items())
     return tuple(given)
+
+
+def as_ports(inputs: Sequence[Any]) -> tuple[Port, ...]:
+    """Ports as they are, and one of plain numbers for each symbol or name."""
+    return tuple(q if isinstance(q, Port) else Port(str(q), PLAIN, "effort", {}) for q in inputs)
 
 
 def shaped(model: str, what: str, value: Any, shape: tuple[int, int]) -> Any:
@@ -136,10 +142,10 @@ def acting(ports: tuple[Port, ...], x: tuple[Variable, ...], B: ca.SX | None) ->
     return tuple(made)
 
 
-def _show(
-    show: Callable[[str], object], H: ca.SX, matrix: Mapping[str, ca.SX], rows: Sequence[str], inputs: Sequence[str]
+def show_matrices(
+    show: Callable[[str], object], matrix: Mapping[str, ca.SX], rows: Sequence[str], inputs: Sequence[str]
 ) -> None:
-    show(f"H = {H}")
+    """A line for each entry of matrices that act on `rows`, of B on `inputs`."""
     for what, m in matrix.items():
         columns = inputs if what == "B" else rows
         for r, c in zip(*m.sparsity().get_triplet(), strict=True):

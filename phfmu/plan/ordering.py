@@ -9,7 +9,7 @@ from __future__ import annotations
 import sys
 from collections import deque
 from dataclasses import dataclass
-from typing import Any
+from functools import cache
 
 import casadi as ca
 import numpy as np
@@ -129,9 +129,14 @@ def _minimum_degree(pattern: _Pattern, row: NDArray[np.int32], col: NDArray[np.i
     n = pattern.n
     matrix = csr_matrix((np.ones(len(pattern.row), np.int8), (pattern.row, pattern.col)), shape=(n, n))
     has_diagonal = matrix.diagonal() != 0
+
+    @cache
+    def full() -> NDArray[np.int_]:
+        """Row -> column of a matching of most rows, -1 for the others; it may take long, and few patterns need it."""
+        return maximum_bipartite_matching(matrix, perm_type="column")
+
     if ca.sprank(ca.Sparsity.triplet(n, n, pattern.row.tolist(), pattern.col.tolist())) < n:
-        matched = _matching(matrix)
-        rows, cols = np.flatnonzero(matched < 0), np.setdiff1d(np.arange(n), matched)
+        rows, cols = np.flatnonzero(full() < 0), np.setdiff1d(np.arange(n), full())
         raise StructurallySingular([int(i) for i in rows], [int(i) for i in cols])
 
     # partners: every weak column takes a neighbouring row; strong columns are preferred, they keep their own pivot
@@ -141,7 +146,7 @@ def _minimum_degree(pattern: _Pattern, row: NDArray[np.int32], col: NDArray[np.i
         columns = matrix.tocsc()[:, zero]
         match = maximum_bipartite_matching(columns.tocsr(), perm_type="row")
         for c, r in zip(zero, match, strict=True):
-            partner[c] = r if r >= 0 else int(np.flatnonzero(_matching(matrix) == c)[0])
+            partner[c] = r if r >= 0 else int(np.flatnonzero(full() == c)[0])
     node = np.arange(n)
     for c in zero:
         r = partner[c]
@@ -158,16 +163,9 @@ def _minimum_degree(pattern: _Pattern, row: NDArray[np.int32], col: NDArray[np.i
         members[merged[i]].append(int(i))
     order = [i for q in quotient for i in members[q]]
     weak = any(not has_diagonal[c] and not has_diagonal[partner[c]] for c in order)
-    row_of = {int(c): int(r) for r, c in enumerate(_matching(matrix))} if weak else {}
+    row_of = {int(c): int(r) for r, c in enumerate(full())} if weak else {}
     pivot = [c if has_diagonal[c] or has_diagonal[partner[c]] else row_of[c] for c in order]
     return np.array(order, np.int32), np.array(_distinct(pivot, order, merged), np.int32)
-
-
-def _matching(matrix: Any) -> NDArray[np.int_]:
-    """Row -> column of a matching of most rows, -1 for the others; it may take long, and few patterns need it."""
-    from scipy.sparse.csgraph import maximum_bipartite_matching
-
-    return maximum_bipartite_matching(matrix, perm_type="column")
 
 
 def _distinct(pivot: list[int], order: list[int], node: NDArray[np.int_]) -> list[int]:

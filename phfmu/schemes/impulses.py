@@ -30,7 +30,6 @@ from phfmu.plan.planner import Maps
 from phfmu.plan.spec import Arguments, Result, Spec
 from phfmu.plan.unknown import Role, Unknown, of_algebraics, of_states
 from phfmu.terms.bare import IMPULSE, Finder, Remedy
-from phfmu.terms.canonical import component
 from phfmu.terms.located import Row
 from phfmu.terms.term import Term, Terms
 
@@ -240,5 +239,5 @@ def _work(layout: Layout) -> list[tuple[int, int]]:
     """(pair, row of R) of the energy that impulses carry through a port of a composed network."""
     terms = layout.terms
     pairs = {(terms.bound[i], p.owner): i for i, p in reversed(list(enumerate(terms.pairs))) if i in terms.bound}
-    found = ((pairs.get((work.row, component(terms.members, work.owner))), work) for work in reports(terms))
+    found = ((pairs.get((work.row, terms.component(work.owner))), work) for work in reports(terms))
     return [(pair, layout.report(work)) for pair, work in found if pair is not None]

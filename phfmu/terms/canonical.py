@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 
 from phfmu.declare.error import DeclarationError
-from phfmu.declare.phdae import ACCOUNT, PHDAE
+from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import Port
 from phfmu.declare.variable import Value, Variable, time
 from phfmu.terms.located import RowAt, ValueAt
@@ -176,13 +176,8 @@ def components(pattern: ca.SX) -> list[list[int]]:
 
 
 def member(members: Sequence[str], owner: str) -> int:
-    """Place of the member `owner`, 0 for none."""
+    """Place of the member `owner`, 0 for none; of terms, `Terms.member` looks it up."""
     return members.index(owner) if owner in members else 0
-
-
-def component(members: Sequence[str], i: int) -> int:
-    """Place of the member whose account the member at place i is, else i itself."""
-    return member(members, members[i].partition(ACCOUNT)[0]) if ACCOUNT in members[i] else i
 
 
 def scalars(matrix: ca.SX) -> list[ca.SX]:

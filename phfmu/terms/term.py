@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 import casadi as ca
 
 from phfmu.declare.energy import EnergyKind
-from phfmu.declare.phdae import PHDAE
+from phfmu.declare.phdae import ACCOUNT, PHDAE
 from phfmu.declare.port import Port
 from phfmu.declare.variable import Value
 from phfmu.terms.located import Constant, RowAt
@@ -139,6 +139,11 @@ class Terms:
     def member(self, owner: str) -> int:
         """Place of the member `owner`, 0 for none."""
         return self._places.get(owner, 0)
+
+    def component(self, i: int) -> int:
+        """Place of the member whose account the member at place i is, else i itself."""
+        name, account, _ = self.members[i].partition(ACCOUNT)
+        return self.member(name) if account else i
 
     @cached_property
     def _places(self) -> dict[str, int]:

@@ -14,26 +14,10 @@ from phfmu.engine.reference.python import PythonInstance
 from phfmu.network.couplings.coupled import Coupled
 from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.outcome.steps import Steps
-
-MODELS = """
-from phfmu import Network, Scene
-from phfmu.components.mechanical.translational import mass, spring
-
-def pushed():
-    return Scene("pushed", mass(2.0), 1.0, 0.1)
-
-def joined():
-    net = Network("joined", description="mass and spring")
-    net.add("m", mass(1.0, q=0.5))
-    net.add("s", spring(3.0, elongation=0.2))
-    net.connect("m.flange", "s.b", name="joint")
-    return net
-"""
+from tests.cli.commands import MODELS, Cli
 
 #: the place of a free mass: no energy follows from it, so no ledger tells of it
 WITHOUT_ENERGY = ("q",)
-
-Cli = Callable[..., tuple[int, str, str]]
 
 
 @pytest.fixture(autouse=True)

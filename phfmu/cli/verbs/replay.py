@@ -21,7 +21,7 @@ def call(args: argparse.Namespace) -> int:
     from phfmu.audit.difference import first_differences
     from phfmu.audit.log.archive import metadata, read
     from phfmu.cli.codes import FINE, PROBLEMS
-    from phfmu.cli.origin import KEY, changed
+    from phfmu.cli.origin import KEY, SHOWN, changed
     from phfmu.cli.verbs import run
     from phfmu.outcome.status import StepFailure
 
@@ -33,8 +33,7 @@ def call(args: argparse.Namespace) -> int:
         )
     with TemporaryDirectory() as folder:
         log = Path(folder) / "replay.parquet"
-        shown = {"output": None, "plot": None, "view": None, "audit": str(log), "quiet": True, "units_row": False}
-        again = argparse.Namespace(**found["options"], **shown, every=None, signals=[], accuracy=False)
+        again = argparse.Namespace(**found["options"], **SHOWN | {"audit": str(log)})
         others = changed(found, again)
         failure = None
         try:

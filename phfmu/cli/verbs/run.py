@@ -98,7 +98,7 @@ def call(args: argparse.Namespace) -> int:
 
     from phfmu.audit import audit_table
     from phfmu.audit.sheet_names import ROWS
-    from phfmu.cli import accuracy, options, origin
+    from phfmu.cli import accuracy, options
     from phfmu.cli.codes import FINE, LEDGER
     from phfmu.cli.job import job_of
     from phfmu.cli.outputs import Outputs
@@ -111,7 +111,6 @@ def call(args: argparse.Namespace) -> int:
     from phfmu.target import is_fmu
 
     accuracy.require_fit(args)
-    known = origin.origin(args)
     outputs, job = Outputs(args), job_of(args)
     chosen, scene, label = options.of_run(args, job.scene, whole=job.whole), job.scene, job.label
     stepper = job.build()
@@ -132,7 +131,7 @@ def call(args: argparse.Namespace) -> int:
 
         held = rows.events() if rows is not None and args.interpolate == "held" else ()
         marks = (e for e in chain(events, held) if e.t < chosen.stop)
-        outputs.begin({"target": args.target, "run": label + job.kernels.words}, scene.shapes, {origin.KEY: known})
+        outputs.begin({"target": args.target, "run": label + job.kernels.words}, scene.shapes)
         columns = partial(outputs.columns, chosen, marks)
         record = accuracy.recorded(args, chosen.step)
         options_here = replace(

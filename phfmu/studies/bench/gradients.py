@@ -6,10 +6,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from statistics import median
-from time import thread_time
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
+from phfmu.studies.bench.machine import cpu_seconds, load, processor
 
 if TYPE_CHECKING:
     from phfmu.discretise.model import Model
@@ -85,16 +86,16 @@ def measure(case: Case) -> Cost:
     times = np.zeros((TURNS, 3))
     for turn in times:
         instance.reset()
-        turn[0] = _seconds(lambda: instance.run(0.0, h, n))
+        turn[0] = cpu_seconds(lambda: instance.run(0.0, h, n))
         instance.reset()
         with tape:
-            turn[1] = _seconds(lambda: instance.run(0.0, h, n))
+            turn[1] = cpu_seconds(lambda: instance.run(0.0, h, n))
         if len(tape.rows) != n:
             raise ValueError(f"{case.name}: steps of {h:g} s were halved")
         for bar in (back.bars.x, back.bars.p, back.bars.u):
             bar[:] = 0.0
         back.bars.x[0, : plan.nx] = 1.0
-        turn[2] = _seconds(lambda: back.back(tape.rows, instance.parameters, row, part, nothing))
+        turn[2] = cpu_seconds(lambda: back.back(tape.rows, instance.parameters, row, part, nothing))
     forward, taped, reverse = (1e6 * median(column) / n for column in times.T.tolist())
     return Cost(plan.np, plan.nx, plan.nw, forward, taped, reverse, instance.counts["schur"] > 0)
 
@@ -104,15 +105,9 @@ def _steps(instance: Any, h: float) -> int:
     n = 50
     while True:
         instance.reset()
-        if _seconds(partial(instance.run, 0.0, h, n)) >= LEAST or n >= 20_000:
+        if cpu_seconds(partial(instance.run, 0.0, h, n)) >= LEAST or n >= 20_000:
             return n
         n *= 2
-
-
-def _seconds(take: Callable[[], object]) -> float:
-    before = thread_time()
-    take()
-    return thread_time() - before
 
 
 @dataclass(frozen=True)
@@ -134,7 +129,7 @@ def long_run(name: str = "smib", order: int = 2, steps: int = LONG) -> Memory:
 
     model, h = built(Case(name, order))
     plain = NativeInstance(model, kernels="compiled")
-    forward = _seconds(lambda: plain.run(0.0, h, steps))
+    forward = cpu_seconds(lambda: plain.run(0.0, h, steps))
     names = [n for v in model.declaration.parameters for n in v.names()]
     taped = TapedSteps(model, NativeInstance(model, kernels="compiled"), names, 0)
     taped.read()
@@ -142,15 +137,13 @@ def long_run(name: str = "smib", order: int = 2, steps: int = LONG) -> Memory:
     for first in range(0, steps, stretch):
         taped.advance(0.0, h, min(stretch, steps - first), first)
     kept = sum(len(leg.state) for leg in taped.legs) + taped.taken_again(taped.legs[0]).size
-    again = _seconds(lambda: [taped.taken_again(leg) for leg in taped.legs[:8]]) * len(taped.legs) / 8
+    again = cpu_seconds(lambda: [taped.taken_again(leg) for leg in taped.legs[:8]]) * len(taped.legs) / 8
     last = np.eye(1, steps + 1, steps)[0]
-    return Memory(steps, kept, forward, again, _seconds(lambda: taped.slopes([{"energy.dissipated": last}])))
+    return Memory(steps, kept, forward, again, cpu_seconds(lambda: taped.slopes([{"energy.dissipated": last}])))
 
 
 def table(cases: Sequence[Case] = CASES, progress: Callable[[str], None] = lambda _: None) -> str:
     """In Markdown."""
-    from phfmu.studies.bench.machine import load, processor
-
     head = [
         "model", "order", "parameters", "states", "unknowns", "stepped by", "run us", "with tape us", "back us", "gradient/run",
     ]  # fmt: skip

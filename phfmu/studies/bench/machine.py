@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import os
 import platform
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from importlib import metadata
 from pathlib import Path
+from time import thread_time
 
 from phfmu.processors import processors
 
@@ -20,14 +21,19 @@ def one_thread() -> None:
         os.environ.setdefault(name, "1")
 
 
+def processor_name() -> str:
+    """Name of the processor, as far as the system tells it."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        lines = []
+    found = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    return next(found, platform.processor() or platform.machine())
+
+
 def processor() -> str:
     """Name of the processor and the number of its cores this process may use."""
-    name = platform.processor() or platform.machine()
-    cpuinfo = Path("/proc/cpuinfo")
-    if cpuinfo.exists():
-        found = [t.partition(":")[2].strip() for t in cpuinfo.read_text().splitlines() if t.startswith("model name")]
-        name = found[0] if found else name
-    return f"{name}, {processors()} cores, {platform.system()} {platform.machine()}"
+    return f"{processor_name()}, {processors()} cores, {platform.system()} {platform.machine()}"
 
 
 def load() -> str:
@@ -35,16 +41,29 @@ def load() -> str:
     return " ".join(f"{x:.2f}" for x in os.getloadavg()) if hasattr(os, "getloadavg") else "unknown"
 
 
+def installed(packages: Sequence[str]) -> dict[str, str]:
+    """Versions of those of the packages that are there."""
+    found = {}
+    for p in packages:
+        try:
+            found[p] = metadata.version(p)
+        except metadata.PackageNotFoundError:
+            continue
+    return found
+
+
+def cpu_seconds(take: Callable[[], object]) -> float:
+    """CPU time of this thread in a call [s]."""
+    before = thread_time()
+    take()
+    return thread_time() - before
+
+
 def versions(packages: Sequence[str] = PACKAGES) -> str:
     """Python, the packages that are there, and the C compiler."""
     from phfmu.engine.build.compile import CompilerMissing, require_compiler
 
-    found = [f"Python {platform.python_version()}"]
-    for p in packages:
-        try:
-            found.append(f"{p} {metadata.version(p)}")
-        except metadata.PackageNotFoundError:
-            continue
+    found = [f"Python {platform.python_version()}", *(f"{p} {v}" for p, v in installed(packages).items())]
     try:
         found.append(require_compiler())
     except CompilerMissing:

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from phfmu.studies.bench.machine import cpu_seconds, load, processor
+
 if TYPE_CHECKING:
     from phfmu.discretise.model import Model
     from phfmu.sweeps.design import Design
@@ -120,18 +122,12 @@ def measure(case: Case, jobs: int) -> Cost:
 
 def _seconds(take: Callable[[], object]) -> float:
     """Median of some turns."""
-    times = []
-    for _ in range(TURNS):
-        before = thread_time()
-        take()
-        times.append(thread_time() - before)
-    return median(times)
+    return median(cpu_seconds(take) for _ in range(TURNS))
 
 
 def table(cases: Sequence[Case] = CASES, progress: Callable[[str], None] = lambda _: None) -> str:
     """In Markdown."""
     from phfmu.processors import processors
-    from phfmu.studies.bench.machine import load, processor
 
     jobs = processors()
     head = [
