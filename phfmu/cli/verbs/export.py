@@ -24,7 +24,7 @@ def add_parser(verbs: Any) -> None:
     from phfmu.cli.settings import add_settings
     from phfmu.cli.sound import add_no_check
     from phfmu.fmu.version import VERSIONS
-    from phfmu.network.couplings.coupling_table import COUPLINGS, NEWTON
+    from phfmu.network.couplings.coupling_table import COUPLINGS, GAUSS_SEIDEL, NEWTON
     from phfmu.ssp.names import VERSIONS as SSP_VERSIONS
 
     parser = verbs.add_parser(
@@ -61,6 +61,8 @@ def add_parser(verbs: Any) -> None:
                              "scheme (without it they are composed to one model)")  # fmt: skip
     parser.add_argument("--coupling", choices=[n for n, c in COUPLINGS.items() if c.apart],
                         help=f"the coupling inside the unit, with --as-unit: {NEWTON.name}, which is the default")  # fmt: skip
+    parser.add_argument("--sequence", metavar="A,B,..",
+                        help=f"the order in which --coupling {GAUSS_SEIDEL.name} steps the members")  # fmt: skip
     parser.add_argument("--ssp", nargs="?", const=SSP_VERSIONS[0], choices=SSP_VERSIONS, metavar="VERSION",
                         help="a package of SSP (1.0 or 2.0; default 1.0): members as units, parameters, connections")  # fmt: skip
     options.add_grid(parser)
@@ -131,6 +133,7 @@ def export_apart(args: argparse.Namespace, s: Scene) -> int:
     from phfmu.fmu.export.export import PLATFORMS
     from phfmu.fmu.version import VERSIONS
     from phfmu.network.as_unit.export import export_network
+    from phfmu.network.couplings.coupling_table import NEWTON
     from phfmu.network.network import Network
     from phfmu.ssp.export import network_of
 
@@ -156,21 +159,17 @@ def export_apart(args: argparse.Namespace, s: Scene) -> int:
         [asked[v] for v in (args.fmi or asked)], step=_require_places(args, s), stop=s.stop,
         platforms=list(PLATFORMS) if args.all_platforms else args.platform, ledger_outputs=args.outputs == "ledger",
         terminals=not args.no_terminals, left_out=left_out, arrays=args.arrays, outward=args.outward,
-        tunable=[*args.tunable, *changed], events=inside,
+        tunable=[*args.tunable, *changed], events=inside, coupling=args.coupling or NEWTON.name,
+        sequence=args.sequence and [name.strip() for name in args.sequence.split(",")],
     )  # fmt: skip
     return _said(notes, left_out, paths)
 
 
 def _require_coupling(args: argparse.Namespace) -> None:
-    """ValueError for a coupling that no unit has inside."""
-    from phfmu.network.couplings.coupling_table import NEWTON
-
-    if args.coupling and not args.as_unit:
-        raise ValueError(f"--coupling {args.coupling} joins members that stay apart in the unit; say --as-unit too")
-    if args.coupling not in (None, NEWTON.name):
-        raise ValueError(
-            f"--coupling {args.coupling} is not inside units, whose members take steps back; leave it out ({NEWTON.name})"
-        )
+    """ValueError for a coupling of a unit that has no members to couple."""
+    for option, asked in {"--coupling": args.coupling, "--sequence": args.sequence}.items():
+        if asked and not args.as_unit:
+            raise ValueError(f"{option} {asked} joins members that stay apart in the unit; say --as-unit too")
 
 
 def _said(notes: Sequence[str], left_out: Sequence[str], paths: Sequence[Path]) -> int:

@@ -10,6 +10,8 @@ from phfmu.fmu.export.schedule import UnitEvent
 from phfmu.fmu.export.variables import FMUError
 from phfmu.fmu.version import VERSIONS, Version
 from phfmu.network.as_unit.unit import coupled_members, network_unit, with_fed_inside
+from phfmu.network.couplings.coupling_table import NEWTON
+from phfmu.network.couplings.named import named_coupling
 from phfmu.network.network import Network
 from phfmu.schemes.scheme import Scheme
 from phfmu.words import meant
@@ -31,15 +33,19 @@ def export_network(
     outward: Sequence[str] = (),
     tunable: Collection[str] = (),
     events: Sequence[UnitEvent] = (),
+    coupling: str = NEWTON.name,
+    sequence: Sequence[str] | None = None,
 ) -> list[Path]:
-    """Write a network as units whose members are stepped apart, each by its scheme, and joined by the Newton coupling inside.
+    """Write a network as units whose members are stepped apart, each by its scheme, and joined by a coupling inside.
 
+    `coupling`, `sequence`: its name, and of members that step in turn their order;
     `tunable`, `events`, `outward`: of members, `member.name`; all else as of `export`.  Errors: FMUError for members that the
-    master inside does not step: units of other tools, state events, signals held over steps.
+    master inside does not step: units of other tools, state events, signals held over steps; ValueError for an unknown coupling.
     """
     rows = rows_of(versions)
     network = with_fed_inside(network, [e.name for e in events])
-    whole, models = coupled_members(network, schemes)
+    joined_by = named_coupling(coupling, network, sequence)
+    whole, models = coupled_members(network, joined_by, schemes, step)
     parameters = [
         (f"{name}.", v) for name, m in zip(network.declared, models, strict=True) for v in m.declaration.parameters
     ]
@@ -51,7 +57,7 @@ def export_network(
     ordered = sorted(events, key=lambda e: e.t)
     inside = tuple(UnitEvent(e.t, n, e.value) for e in ordered for n in known[e.name])
     unit = network_unit(
-        network, whole, models, step=step, stop=stop, ledger_outputs=ledger_outputs, terminals=terminals,
+        network, joined_by, whole, models, step=step, stop=stop, ledger_outputs=ledger_outputs, terminals=terminals,
         left_out=tuple(left_out), arrays=arrays, outward=tuple(outward), tunable=scalars, events=inside,
     )  # fmt: skip
     return written(unit, directory, rows, platforms)

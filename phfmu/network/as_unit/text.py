@@ -22,8 +22,14 @@ from phfmu.network.couplings.compiled.master import Master
 from phfmu.network.couplings.compiled.master_library import HEADER
 from phfmu.network.couplings.coupled import Coupled
 
+#: solver of the master -> its files besides those of Newton's
+SOLVER_FILES = {
+    "newton": (),
+    "anderson": ("anderson.c", "anderson.h"),
+    "in_turn": ("in_turn.c", "in_turn.h", "instant.c", "instant.h"),
+}
 #: fields that the unit fills in itself
-_OWN = {
+_OWN: dict[str, set[str]] = {
     "ph_share": {"kind", "of", "free", "given", "outputs", "energies", "end", "clock"},
     "ph_native": {"in", "kicks", "chain", "signals", "values", "kept", "copied", "kept_values"},
     "ph_master": {"solver", "memory", "held", "rules", "shares", "lu", "work", "crew", "cost", "clock"},
@@ -42,7 +48,7 @@ class Tables:
         members, rooms = [], []
         for f in HEADER.fields[kind]:
             value = values[f.name]
-            if f.name in _OWN[kind]:
+            if f.name in _OWN.get(kind, ()):
                 continue
             if not f.pointer:
                 members.append(f".{f.name} = {value!r}")
@@ -116,13 +122,14 @@ def _network_text(whole: Coupled, master: Master, ports: Sequence[int | None], s
         if len(array):
             tables.arrays.append(array_text(ctype, f"network_{name}", np.asarray(array, ARRAYS[ctype])))
     tables.arrays.append(_rooms("rooms", rooms))
+    memory = _memory(tables, master)
     given = "".join(f"    .{n} = {f'network_{n}' if len(a) else '0'},\n" for n, (_, a) in lists.items())
     return f"""\
 /* Generated. The members of {len(rows)} models, and how they are coupled. */
 #include <math.h>
 
 #include "network.h"
-
+{"".join(f'#include "{name}"' + chr(10) for name in SOLVER_FILES[master.solver] if name.endswith(".h"))}
 {externs}
 {"".join(tables.arrays)}
 static const ph_network_member members[] = {{
@@ -134,7 +141,7 @@ const ph_network ph_the_network = {{
     .members = members,
     .master = {m},
     .solver = ph_solver_{master.solver},
-    .rules = {{.held = {int(rules["held"])}, .iterations = {rules["iterations"]}}},
+{memory}    .rules = {{.held = {int(rules["held"])}, .iterations = {rules["iterations"]}}},
     .nroom = {len(rooms)},
     .rooms = rooms,
     .signals = {len(whole.joined.face.names)},
@@ -143,6 +150,19 @@ const ph_network ph_the_network = {{
 {given}    .njunction = {len(first) - 1},
 }};
 """
+
+
+def _memory(tables: Tables, master: Master) -> str:
+    """Fields of the memory of the solver, if it has one."""
+    kind = f"ph_{master.solver}"
+    for values in _filled(master, kind):
+        own, rooms = tables.struct(kind, "memory", values)
+        tables.arrays += [f"static const {kind} memory = {own};\n", _rooms("memory_rooms", rooms)]
+        return (
+            f"    .memory = &memory,\n    .memory_size = sizeof(memory),\n    .nmemory = {len(rooms)},\n"
+            "    .memory_rooms = memory_rooms,\n"
+        )
+    return ""
 
 
 def _rooms(name: str, rows: Sequence[str]) -> str:

@@ -22,9 +22,10 @@ from phfmu.fmu.export.description import Unit
 from phfmu.fmu.export.outward import require_ports, turned
 from phfmu.fmu.export.schedule import fed_inside
 from phfmu.fmu.export.variables import FMUError, FMUVariable, listed
-from phfmu.network.as_unit.text import network_files
+from phfmu.network.as_unit.text import SOLVER_FILES, network_files
 from phfmu.network.couplings.compiled.master import Master
 from phfmu.network.couplings.coupled import Coupled
+from phfmu.network.couplings.named import Named
 from phfmu.network.network import Network
 from phfmu.schemes.scheme import Scheme
 from phfmu.signals import (
@@ -40,11 +41,8 @@ from phfmu.signals import (
     total,
 )
 
-#: of the master, what a unit of coupled members has not: threads, other couplings, units as members
-OTHER_MASTERS = (
-    "crew.c", "anderson.c", "anderson.h", "in_turn.c", "in_turn.h", "instant.c", "instant.h", "unit.c", "unit.h", "unit_call.c",
-    "unit_fmi2.c", "unit_fmi3.c",
-)  # fmt: skip
+#: of the master, what a unit of coupled members has not: threads, units as members
+OTHER_MASTERS = ("crew.c", "unit.c", "unit.h", "unit_call.c", "unit_fmi2.c", "unit_fmi3.c")
 #: blocks of a model -> what of a plan is as long; others are as long as there are components
 _LENGTHS = {
     "x": "nx", "a": "na", "a_end": "na", "y_step": "nq", "y_end": "nq", "energy": "nq", "row_pairs": "nq", "parameter": "np",
@@ -73,10 +71,10 @@ class NetworkUnit(Unit):
     def master(self) -> Master:
         """The compiled master, whose tables the unit has."""
         found = self.whole.master
-        if found.calls or found.solver != "newton" or self.whole.signals_held:
+        if found.calls or self.whole.signals_held:
             raise FMUError(
-                f"{self.name}: its members are not all stepped by the compiled master under --coupling newton, or exchange "
-                "signals that are held over a step; export it composed, without --as-unit"
+                f"{self.name}: its members are not all stepped by the compiled master, or exchange signals that are held over "
+                "a step; take --coupling newton, which exchanges them at nodes, or export it composed, without --as-unit"
             )
         return found
 
@@ -90,7 +88,9 @@ class NetworkUnit(Unit):
 
     def drivers(self) -> dict[str, Path]:
         found = driver_sources("network/couplings")
-        return {name: path for name, path in found.items() if name not in OTHER_MASTERS}
+        own = SOLVER_FILES[self.master.solver]
+        others = {*OTHER_MASTERS, *(name for files in SOLVER_FILES.values() for name in files if name not in own)}
+        return {name: path for name, path in found.items() if name not in others}
 
     @property
     def checks(self) -> list[tuple[str, float]]:
@@ -206,7 +206,9 @@ class NetworkUnit(Unit):
             yield Quantity("energy.junctions", "output", "joined", first + 2 * n, 1, None, "J", description=text)
 
 
-def network_unit(network: Network, whole: Coupled, models: Sequence[Model], **options: Any) -> NetworkUnit:
+def network_unit(
+    network: Network, coupling: Named, whole: Coupled, models: Sequence[Model], **options: Any
+) -> NetworkUnit:
     """The unit of a network whose members are coupled as in `whole`; `options`: of `Unit`."""
     joined = {e for j in network.junctions for e in j.ends}
     ports = [
@@ -220,21 +222,25 @@ def network_unit(network: Network, whole: Coupled, models: Sequence[Model], **op
         nx=sum(m.step.nx for m in models), na=sum(m.step.na for m in models), nu=sum(m.step.nu for m in models),
         ncomp=sum(m.step.ncomp for m in models), k=1,
     )  # fmt: skip
-    order = max(m.scheme.order for m in models)
-    scheme = SimpleNamespace(name="newton coupling of members", order=order)
+    order = max(m.scheme.order for m in models) if coupling.nodes else coupling.order
+    scheme = SimpleNamespace(name=f"{coupling.words} of members", order=order)
     model: Any = SimpleNamespace(
         declaration=declaration, step=plan, t0=models[0].t0, scheme=scheme, events=None, modes=None
     )
     return NetworkUnit(model=model, whole=whole, models=tuple(models), **options)
 
 
-def coupled_members(network: Network, schemes: Mapping[str, Scheme]) -> tuple[Coupled, list[Model]]:
-    """The members of a network, native ones of their schemes, under the Newton coupling, and their models.  FMUError."""
+def coupled_members(
+    network: Network, coupling: Named, schemes: Mapping[str, Scheme], step: float
+) -> tuple[Coupled, list[Model]]:
+    """The members of a network, native ones of their schemes, under a coupling, and their models.
+
+    Errors: FMUError; ValueError where outputs do not give the junctions their values, as couplings in turn need.
+    """
     from phfmu.discretise.model import build_model
     from phfmu.engine.native.native import NativeInstance
     from phfmu.fmu.export.value_groups import telling_constant
     from phfmu.network.couplings.apart import Apart
-    from phfmu.network.couplings.named import named_coupling
     from phfmu.network.members.engine_member import EngineMember
 
     if network.units:
@@ -248,14 +254,15 @@ def coupled_members(network: Network, schemes: Mapping[str, Scheme]) -> tuple[Co
             "export it composed, without --as-unit"
         )
     whole = Apart(network)
-    coupling = named_coupling("newton", network)
-    separate = network.separate(whole.holding(lambda name: schemes[name].node_values))
+    separate = network.separate(whole.holding(lambda name: coupling.nodes and schemes[name].node_values))
     models = [telling_constant(build_model(separate[name], schemes[name])) for name in network.declared]
     members: list[Any] = [
         EngineMember(name, model, NativeInstance(model)) for name, model in zip(network.declared, models, strict=True)
     ]
     found = Coupled(network, members, coupling.make)
     found.check_start()
+    if not found.coupling.repeats:  # whether outputs give the junctions their values
+        found.prepare(models[0].t0, step)
     return found, models
 
 

@@ -14,17 +14,8 @@ Source: Degroote, Bathe, Vierendeels, Comput. Struct. 87 (2009) 793; columns who
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
-
 from phfmu.network.couplings.acceptance import RULES
-from phfmu.network.interface.joined import Joined
 from phfmu.outcome.limits import defined
-
-Array = NDArray[Any]
 
 _NUMBERS = defined(RULES.parent / "anderson.h")
 
@@ -32,22 +23,7 @@ _NUMBERS = defined(RULES.parent / "anderson.h")
 WINDOW, ITERATIONS = int(_NUMBERS["ANDERSON_WINDOW"]), int(_NUMBERS["ANDERSON_ITERATIONS"])
 
 
-@dataclass(frozen=True)
-class Memory:
-    """Differences X, F (rows: newest first), sizes of the unknowns (n), the entries of M in the pattern of the master."""
-
-    X: Array
-    F: Array
-    size: Array
-    M: Array
-
-
 class Anderson:
     """One value per junction unknown and step, held, as with `Newton`; members need no sensitivities."""
 
     order, repeats, closes = 2, True, True
-
-
-def first_sizes(joined: Joined) -> Array:
-    """Sizes of the unknowns before the first trial."""
-    return np.maximum(1e-6 * joined.face.nominal, 1e-300)

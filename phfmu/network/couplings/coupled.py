@@ -256,7 +256,7 @@ class Coupled:
             self.last = Solution(self._switching.begin(h))
             self._at_start = self.last.xi
             return
-        if not self.coupling.repeats:
+        if not self.coupling.repeats and (self.master.calls or self.joined.put_off):
             self.last = Solution(Instant().solve(self.joined, self.last.xi, t0))
             self.joined.begin(self.last.xi)
             return

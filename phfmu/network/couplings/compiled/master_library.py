@@ -50,9 +50,12 @@ def library() -> ctypes.CDLL:
     )
     prepare = lib.ph_master_prepare
     prepare.restype, prepare.argtypes = integer, [pointer, *[ctypes.c_double] * 2, integer, *[pointer] * 3]
+    lib.ph_master_remembered.restype, lib.ph_master_remembered.argtypes = integer, [pointer]
+    for name, arguments in (("forget", [pointer]), ("save", [pointer] * 2), ("load", [pointer] * 2)):
+        function = getattr(lib, f"ph_master_{name}")
+        function.restype, function.argtypes = None, arguments
     lib.ph_shares_finish.restype, lib.ph_shares_finish.argtypes = integer, [pointer, integer]
     lib.ph_crew_size.restype, lib.ph_crew_size.argtypes = ctypes.c_size_t, []
-    lib.ph_matrix_factor.restype, lib.ph_matrix_factor.argtypes = integer, [pointer]
     solvers = (f"ph_solver_{name}" for name in ("newton", "anderson", "in_turn"))
     for name in ("ph_kind_native", "ph_kind_unit", *(f"ph_unit_{prefix}" for prefix in CALLED), *solvers):
         getattr(lib, name).restype = pointer

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from phfmu.engine.native.structures import Structures
 from phfmu.network.couplings import anderson
 from phfmu.network.couplings.acceptance import ITERATIONS, KNOWN
-from phfmu.network.couplings.anderson import Anderson, Memory
+from phfmu.network.couplings.anderson import Anderson
 from phfmu.network.couplings.compiled.master_pattern import Exchanged, Pattern
 from phfmu.network.couplings.coupling import Coupling, Moves, Solution, Starts
 from phfmu.network.couplings.gauss_seidel import GaussSeidel
@@ -104,7 +104,29 @@ class NewtonSolver:
         return Continuation(self._found.copy(), tuple(m.copy() for m in self._missed[: struct.known]))
 
 
-class AndersonSolver:
+class _Remembering:
+    """What a solver in C goes on from, as it saves it: `ph_solver`."""
+
+    _t: Tables
+
+    def spread(self, xi: Array) -> Array:
+        return xi
+
+    def begin(self, struct: Any, last: Solution, h: float) -> bool:
+        self._t.z[:] = last.xi
+        if last.memory is None:
+            self._t.lib.ph_master_forget(ctypes.addressof(struct))
+        else:
+            self._t.lib.ph_master_load(ctypes.addressof(struct), last.memory.ctypes.data)
+        return False
+
+    def memory(self, struct: Any) -> Array:
+        found = np.zeros(self._t.lib.ph_master_remembered(ctypes.addressof(struct)))
+        self._t.lib.ph_master_save(ctypes.addressof(struct), found.ctypes.data)
+        return found
+
+
+class AndersonSolver(_Remembering):
     """Its differences, which a step may add `anderson.ITERATIONS` to."""
 
     name, held, iterations, failure = "anderson", True, anderson.ITERATIONS, None
@@ -113,45 +135,18 @@ class AndersonSolver:
     def __init__(self, _: Anderson, t: Tables):
         self._t, n = t, t.found.nodes
         most = min(anderson.WINDOW, n)
-        self._room = most + anderson.ITERATIONS
-        self._X, self._F = np.zeros((2, self._room, n))
-        self._size = np.zeros(n)
+        room = most + anderson.ITERATIONS
         values = {
-            "plain": hidden_part(assembled(t.joined.C, ()), t.joined.face.nominal).nnz == 0, "most": most, "room": self._room,
-            "begun": 0, "count": 0, "newest": 0, "count_before": 0, "newest_before": 0, "X": self._X, "F": self._F,
-            "size": self._size, "size_before": np.zeros(n), "xi": np.zeros(n), "f": np.zeros(n), "Q": np.zeros((most, n)),
-            "R": np.zeros((most, most)), "c": np.zeros(most), "kept": np.zeros(most, np.int32),
+            "plain": int(hidden_part(assembled(t.joined.C, ()), t.joined.face.nominal).nnz == 0), "most": most, "room": room,
+            "begun": 0, "count": 0, "newest": 0, "count_before": 0, "newest_before": 0, "X": np.zeros((room, n)),
+            "F": np.zeros((room, n)), "size": np.zeros(n), "size_before": np.zeros(n), "xi": np.zeros(n), "f": np.zeros(n),
+            "Q": np.zeros((most, n)), "R": np.zeros((most, most)), "c": np.zeros(most), "kept": np.zeros(most, np.int32),
         }  # fmt: skip
-        self._own = t.memory.fill("ph_anderson", values)
-        nothing = np.zeros(0)
-        self.fields = {"found": nothing, "missed": nothing, "memory": ctypes.addressof(self._own)}
-
-    def spread(self, xi: Array) -> Array:
-        return xi
-
-    def begin(self, struct: Any, last: Solution, h: float) -> bool:
-        t, own = self._t, self._own
-        t.z[:] = last.xi
-        memory = last.memory if isinstance(last.memory, Memory) else None
-        own.begun, own.count, own.newest = 0, 0, 0
-        self._size[:] = anderson.first_sizes(t.joined)
-        if memory is None:
-            return False
-        own.count = len(memory.X)
-        self._X[: own.count], self._F[: own.count], self._size[:] = memory.X, memory.F, memory.size
-        t.pattern.a[:] = memory.M
-        own.begun = int(t.lib.ph_matrix_factor(ctypes.addressof(struct)) == 0)
-        return False
-
-    def memory(self, struct: Any) -> Memory | None:
-        own = self._own
-        if not own.begun:
-            return None
-        at = (own.newest + np.arange(own.count)) % self._room
-        return Memory(self._X[at], self._F[at], self._size.copy(), self._t.pattern.a.copy())
+        own, nothing = t.memory.fill("ph_anderson", values), np.zeros(0)
+        self.fields = {"found": nothing, "missed": nothing, "memory": ctypes.addressof(own)}
 
 
-class InTurnSolver:
+class InTurnSolver(_Remembering):
     """Groups of members that step one after the other."""
 
     name, held, iterations, words, failure = "in_turn", True, 1, "", None
@@ -179,21 +174,8 @@ class InTurnSolver:
         lengths = dict.fromkeys(("asked", "share", "share_marked"), nshare) | {"label": 2 * n, "first": n + 1}
         lengths |= dict.fromkeys(("row", "row_marked", "block", "block_marked", "step"), n)
         values |= {name: np.zeros(length, np.int32) for name, length in lengths.items()}
-        self._asked: Array = values["asked"]
-        self._own = t.memory.fill("ph_in_turn", values)
-        nothing = np.zeros(0)
-        self.fields = {"found": nothing, "missed": nothing, "memory": ctypes.addressof(self._own)}
-
-    def spread(self, xi: Array) -> Array:
-        return xi
-
-    def begin(self, struct: Any, last: Solution, h: float) -> bool:
-        self._t.z[:] = last.xi
-        self._asked[:] = 0
-        return False
-
-    def memory(self, struct: Any) -> None:
-        """Each step begins with the outputs of its start."""
+        own, nothing = t.memory.fill("ph_in_turn", values), np.zeros(0)
+        self.fields = {"found": nothing, "missed": nothing, "memory": ctypes.addressof(own)}
 
 
 class CalledSolver:
@@ -223,15 +205,7 @@ class CalledSolver:
         start = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int)(start_from) if starts else none
         move = ctypes.CFUNCTYPE(ctypes.c_int, *[ctypes.c_void_p] * 2, ctypes.c_int)(move_on) if moves else none
         idle = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int)(lambda _, __: None)
-        calls = [
-            none,
-            start if starts else idle,
-            t.lib.ph_trial_take,
-            move,
-            none,
-            none,
-            none,
-        ]  # in the order of `ph_solver`
+        calls = [none, start if starts else idle, t.lib.ph_trial_take, move, *[none] * 9]  # in the order of `ph_solver`
         self._kept_alive = calls
         nothing = np.zeros(0)
         self.fields = {

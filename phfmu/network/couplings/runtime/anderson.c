@@ -139,7 +139,67 @@ static int move(ph_master *m, ph_progress *p, int left) {
     return ph_all_finite(m->z, n) ? PH_OK : PH_NOT_FINITE;
 }
 
+static void forget(ph_master *m) {
+    ph_anderson *a = m->memory;
+    a->begun = a->count = a->newest = 0;
+    for (int i = 0; i < m->nxi; i++)
+        a->size[i] = fmax(PH_ANDERSON_SIZE * m->nominal[m->column[i]], 1e-300);
+}
+
+/* Whether M is factored, how many differences there are, sizes, M, differences of xi and of f, newest first.
+ */
+static int remembered(const ph_master *m) {
+    const ph_anderson *a = m->memory;
+    return 2 + m->nxi + m->nnz + 2 * a->most * m->nxi;
+}
+
+static void save(const ph_master *m, double *to) {
+    const ph_anderson *a = m->memory;
+    const int n = m->nxi;
+    double *X = to + 2 + n + m->nnz, *F = X + a->most * n;
+    ph_clear(to, remembered(m));
+    to[0] = a->begun;
+    to[1] = a->count;
+    memcpy(to + 2, a->size, bytes(n));
+    memcpy(to + 2 + n, m->a, bytes(a->begun ? m->nnz : 0));
+    for (int j = 0; j < a->count; j++) {
+        memcpy(X + (ptrdiff_t)j * n, row(a, a->X, j, n), bytes(n));
+        memcpy(F + (ptrdiff_t)j * n, row(a, a->F, j, n), bytes(n));
+    }
+}
+
+static void load(ph_master *m, const double *from) {
+    ph_anderson *a = m->memory;
+    const int n = m->nxi, begun = (int)from[0];
+    const double *X = from + 2 + n + m->nnz, *F = X + a->most * n;
+    a->count = (int)from[1];
+    a->newest = 0;
+    memcpy(a->size, from + 2, bytes(n));
+    memcpy(a->X, X, bytes(a->count * n));
+    memcpy(a->F, F, bytes(a->count * n));
+    memcpy(m->a, from + 2 + n, bytes(begun ? m->nnz : 0));
+    a->begun = begun && ph_matrix_factor(m) == PH_OK;
+}
+
+static int sound(const ph_master *m, const double *from) {
+    const ph_anderson *a = m->memory;
+    for (int i = 0; i < m->nxi; i++)
+        if (!(from[2 + i] > 0.0))
+            return 0;
+    return ph_counted(from[0], 1) && ph_counted(from[1], a->most);
+}
+
 const ph_solver *ph_solver_anderson(void) {
-    static const ph_solver anderson = {NULL, start, ph_trial_take, move, NULL, NULL, drop};
+    static const ph_solver anderson = {
+        .start = start,
+        .take = ph_trial_take,
+        .move = move,
+        .drop = drop,
+        .forget = forget,
+        .remembered = remembered,
+        .save = save,
+        .load = load,
+        .sound = sound,
+    };
     return &anderson;
 }

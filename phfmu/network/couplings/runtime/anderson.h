@@ -9,6 +9,9 @@
 /* Of f is taken while there are no differences and M is C. */
 #define PH_ANDERSON_FIRST 0.1
 
+/* Of the nominal of an unknown, its size before the first trial. */
+#define PH_ANDERSON_SIZE 1e-6
+
 /* Part of a column that is not in those before it, below which it is rounding. */
 #define PH_ANDERSON_DROPPED 1e-12
 

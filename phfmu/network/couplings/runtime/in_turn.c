@@ -8,6 +8,7 @@
 
 #include "instant.h"
 #include "master.h"
+#include "system.h"
 
 static void start(ph_master *m, int next) {
     (void)next;
@@ -47,7 +48,60 @@ static int take(ph_master *m, double t, double h, int again, ph_trial *found) {
     return status;
 }
 
+static int instant(ph_master *m) {
+    ph_instant_begin(m);
+    return ph_instant_solve(m);
+}
+
+static void unasked(const ph_master *m) {
+    ph_in_turn *g = m->memory;
+    for (int i = 0; i < m->nshare; i++)
+        g->asked[i] = PH_UNGIVEN;
+}
+
+static void forget(ph_master *m) {
+    ph_in_turn *g = m->memory;
+    g->begun = 0;
+    unasked(m);
+}
+
+/* Whether the matrix of the instant is factored, and the matrix. */
+static int remembered(const ph_master *m) {
+    return 1 + m->nnz;
+}
+
+static void save(const ph_master *m, double *to) {
+    const ph_in_turn *g = m->memory;
+    ph_clear(to, 1 + m->nnz);
+    to[0] = g->begun;
+    memcpy(to + 1, m->a, sizeof(double) * (size_t)(g->begun ? m->nnz : 0));
+}
+
+static void load(ph_master *m, const double *from) {
+    ph_in_turn *g = m->memory;
+    unasked(m);
+    g->begun = 0;
+    if (from[0] == 0.0)
+        return;
+    memcpy(m->a, from + 1, sizeof(double) * (size_t)m->nnz);
+    g->begun = ph_instant_factor(m) == PH_OK;
+}
+
+static int sound(const ph_master *m, const double *from) {
+    (void)m;
+    return ph_counted(from[0], 1);
+}
+
 const ph_solver *ph_solver_in_turn(void) {
-    static const ph_solver in_turn = {NULL, start, take, NULL, NULL, NULL, NULL};
+    static const ph_solver in_turn = {
+        .start = start,
+        .take = take,
+        .instant = instant,
+        .forget = forget,
+        .remembered = remembered,
+        .save = save,
+        .load = load,
+        .sound = sound,
+    };
     return &in_turn;
 }

@@ -192,14 +192,20 @@ static void solve_block(ph_master *m, ph_in_turn *t, int b) {
     }
 }
 
+int ph_instant_factor(ph_master *m) {
+    const int status = ph_matrix_factor(m);
+    if (status == PH_OK)
+        part(m, m->memory);
+    return status;
+}
+
 static int update(ph_master *m, ph_in_turn *t, int anew) {
     if (anew) {
         int status = ph_matrix_of(m, along);
         if (status == PH_OK)
-            status = ph_matrix_factor(m);
+            status = ph_instant_factor(m);
         if (status)
             return status;
-        part(m, t);
         t->begun = 1;
     }
     for (int i = 0; i < t->nrow; i++)

@@ -68,7 +68,47 @@ static void keep(ph_master *m, int next) {
     m->S1 = swap;
 }
 
+static void forget(ph_master *m) {
+    m->known = 0;
+}
+
+/* How many of the rows of `missed` are known, `found`, `missed`. */
+static int remembered(const ph_master *m) {
+    return 1 + (PH_COUPLED_KNOWN + 1) * (m->nxi + 2 * m->nbare);
+}
+
+static void save(const ph_master *m, double *to) {
+    const int all = m->nxi + 2 * m->nbare;
+    to[0] = m->known;
+    memcpy(to + 1, m->found, bytes(all));
+    memcpy(to + 1 + all, m->missed, bytes(all * PH_COUPLED_KNOWN));
+}
+
+static void load(ph_master *m, const double *from) {
+    const int all = m->nxi + 2 * m->nbare;
+    m->known = (int)from[0];
+    memcpy(m->found, from + 1, bytes(all));
+    memcpy(m->missed, from + 1 + all, bytes(all * PH_COUPLED_KNOWN));
+}
+
+static int sound(const ph_master *m, const double *from) {
+    (void)m;
+    return ph_counted(from[0], PH_COUPLED_KNOWN);
+}
+
 const ph_solver *ph_solver_newton(void) {
-    static const ph_solver newton = {ph_trial_before, start, ph_trial_take, move, again, keep, NULL};
+    static const ph_solver newton = {
+        .begin = ph_trial_before,
+        .start = start,
+        .take = ph_trial_take,
+        .move = move,
+        .again = again,
+        .keep = keep,
+        .forget = forget,
+        .remembered = remembered,
+        .save = save,
+        .load = load,
+        .sound = sound,
+    };
     return &newton;
 }

@@ -88,6 +88,29 @@ static void record(ph_master *m, double h, int row) {
         xi[m->bare_column[b]] += (m->z[m->nxi + b] + m->z[m->nxi + m->nbare + b]) / h;
 }
 
+void ph_master_forget(ph_master *m) {
+    if (m->solver->forget)
+        m->solver->forget(m);
+}
+
+int ph_master_remembered(const ph_master *m) {
+    return m->solver->remembered ? m->solver->remembered(m) : 0;
+}
+
+void ph_master_save(const ph_master *m, double *to) {
+    if (m->solver->save)
+        m->solver->save(m, to);
+}
+
+void ph_master_load(ph_master *m, const double *from) {
+    if (m->solver->load)
+        m->solver->load(m, from);
+}
+
+int ph_master_sound(const ph_master *m, const double *from) {
+    return !m->solver->sound || m->solver->sound(m, from);
+}
+
 void ph_master_spread(ph_master *m, const double *xi) {
     for (int i = 0; i < m->nxi; i++)
         m->z[i] = xi[m->column[i]];

@@ -104,9 +104,15 @@ typedef struct ph_solver {
     void (*start)(struct ph_master *, int next); /* z; next: the step goes on from the one before */
     int (*take)(struct ph_master *, double t, double h, int again, struct ph_trial *);
     int (*move)(struct ph_master *, ph_progress *, int left);
-    int (*again)(struct ph_master *, int next); /* the step was refused: z to try again from, or 0 */
-    void (*keep)(struct ph_master *, int next); /* the step was accepted */
-    void (*drop)(struct ph_master *);           /* it was refused */
+    int (*again)(struct ph_master *, int next);  /* the step was refused: z to try again from, or 0 */
+    void (*keep)(struct ph_master *, int next);  /* the step was accepted */
+    void (*drop)(struct ph_master *);            /* it was refused */
+    int (*instant)(struct ph_master *);          /* z where the members are; NULL: by steps */
+    void (*forget)(struct ph_master *);          /* the next step goes on from z alone */
+    int (*remembered)(const struct ph_master *); /* how many doubles the next step goes on from besides z */
+    void (*save)(const struct ph_master *, double *to);
+    void (*load)(struct ph_master *, const double *from);
+    int (*sound)(const struct ph_master *, const double *from); /* whether `save` can have written them */
 } ph_solver;
 
 typedef struct ph_master {
@@ -207,6 +213,14 @@ PH_API void ph_master_lu_init(ph_master *m);
  * `found`. Returns how many were accepted: fewer than n if one was not, before which the members are then. */
 PH_API int ph_master_run(ph_master *m, double t0, double h, int n, long long first, int next);
 
+/* What the next step goes on from besides z: nothing; how many doubles it is; these, and from these; whether
+ * they can have been saved. */
+PH_API void ph_master_forget(ph_master *m);
+PH_API int ph_master_remembered(const ph_master *m);
+PH_API void ph_master_save(const ph_master *m, double *to);
+PH_API void ph_master_load(ph_master *m, const double *from);
+int ph_master_sound(const ph_master *m, const double *from);
+
 /* z of a first step, or of one that is not the continuation of the one before: constants of xi (ncolumn). */
 PH_API void ph_master_spread(ph_master *m, const double *xi);
 /* start.c: common variables before the first step of length h, where no step has ended: those of the instant
@@ -265,6 +279,11 @@ int ph_shares_step(ph_master *m, double t, double h, ph_from from, const int *wh
 int ph_shares_refresh(ph_master *m);
 PH_API int ph_shares_finish(ph_master *m, int row);
 int ph_shares_along(ph_master *m);
+
+/* Whether a value that was saved is one of 0..most. */
+static inline int ph_counted(double value, int most) {
+    return value >= 0.0 && value <= most && value == (int)value;
+}
 
 /* Its answer, noted: which member refused is read from there. */
 static inline int ph_share_said(ph_master *m, int share, int status) {

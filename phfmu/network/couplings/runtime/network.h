@@ -31,6 +31,10 @@ typedef struct ph_network {
     const ph_network_member *members; /* nmember */
     ph_master master;                 /* without memory */
     const ph_solver *(*solver)(void);
+    const void *memory; /* of the solver, without what it points to */
+    size_t memory_size; /* 0: it has none */
+    int nmemory;
+    const ph_room *memory_rooms; /* nmemory */
     ph_rules rules;
     int nroom;
     const ph_room *rooms; /* nroom, of the master */

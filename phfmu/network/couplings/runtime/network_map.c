@@ -30,7 +30,8 @@ static int reset(void *of) {
     ph_copy(w->free, n->free, w->sizes.nu);
     ph_copy(w->mean, n->start, w->master.ncolumn);
     ph_clear(w->joined, ph_whole_njoined(n, w->sizes.nu));
-    *w->now = (ph_whole_moment){0.0, 0};
+    *w->h = 0.0;
+    ph_master_forget(&w->master);
     w->begun = 0;
     ph_whole_gather_parameters(w);
     ph_whole_gather(w);
@@ -143,8 +144,9 @@ static int initialise(void *of) {
         status = refresh(w);
     if (status)
         return status;
-    if (status == PH_OK)
-        status = ph_master_prepare(&w->master, t, n->step, PH_START_TRIALS, n->start, w->mean, begin);
+    ph_master_forget(&w->master);
+    status = ph_master_prepare(&w->master, t, n->step, PH_START_TRIALS, n->start, w->mean, begin);
+    ph_master_forget(&w->master);
     if (status)
         return refused(w, status, t, n->step);
     status = present(w, begin);
@@ -159,7 +161,8 @@ static int initialise(void *of) {
 
 /* What comes is not the continuation of the last step, and the start is another one. */
 static void changed(ph_whole *w) {
-    w->now->h = 0.0;
+    *w->h = 0.0;
+    ph_master_forget(&w->master);
     w->begun = 0;
 }
 
@@ -251,7 +254,7 @@ static int follow_signals(ph_whole *w) {
 /* One internal step. */
 static int step(ph_whole *w, double t, double h, int number) {
     ph_master *m = &w->master;
-    const int next = fabs(h - w->now->h) <= SAME * fabs(h);
+    const int next = fabs(h - *w->h) <= SAME * fabs(h);
     if (!next) {
         const int status = follow_signals(w);
         if (status)
@@ -261,7 +264,7 @@ static int step(ph_whole *w, double t, double h, int number) {
     if (ph_master_run(m, t, h, 1, number, next) != 1)
         return refused(w, m->refused, t + number * h, h);
     ph_copy(w->mean, m->xi, m->ncolumn);
-    w->now->h = h;
+    *w->h = h;
     average(w);
     ph_whole_gather(w);
     book(w);

@@ -77,13 +77,11 @@ static void place_members(ph_whole *w) {
 static int lay_values(ph_whole *w) {
     const int n = w->master.ncolumn, nc = w->sizes.ncomp, all = ph_whole_njoined(w->about, w->sizes.nu);
     const size_t counts = PH_NCOUNT, row = 5 * (size_t)nc + (size_t)w->sizes.nq;
-    const size_t size = (size_t)w->offset[PH_NBLOCK] + row + (size_t)w->sizes.np + (size_t)w->sizes.nu +
+    const size_t size = 1 + (size_t)w->offset[PH_NBLOCK] + row + (size_t)w->sizes.np + (size_t)w->sizes.nu +
                         (size_t)n + (size_t)all + (size_t)ph_whole_kept_size(w->about);
     w->work = calloc(size + 1, sizeof(double));
     w->count = calloc(counts, sizeof(long long));
-    w->now = calloc(1, sizeof(ph_whole_moment));
-    w->before = calloc(1, ph_whole_state_size(w));
-    if (!w->work || !w->count || !w->now || !w->before)
+    if (!w->work || !w->count)
         return 0;
     w->table = w->work;
     w->row[0] = w->table + w->offset[PH_NBLOCK];
@@ -94,6 +92,7 @@ static int lay_values(ph_whole *w) {
     w->mean = w->free + w->sizes.nu;
     w->joined = w->mean + n;
     w->kept = w->joined + all;
+    w->h = w->kept + ph_whole_kept_size(w->about);
     return 1;
 }
 
@@ -102,7 +101,8 @@ static int make_master(ph_whole *w) {
     ph_master *m = &w->master;
     w->room = calloc(1, n->room + 1);
     w->lu = calloc(1, ph_master_lu_size(m->nxi + 2 * m->nbare, m->nnz, m->capacity) + 1);
-    if (!w->room || !w->lu)
+    w->memory = malloc(n->memory_size + 1);
+    if (!w->room || !w->lu || !w->memory)
         return 0;
     for (int i = 0; i < n->nmember; i++) {
         const ph_network_member *about = &n->members[i];
@@ -119,12 +119,17 @@ static int make_master(ph_whole *w) {
         s->end = own->native.signals + own->offset[PH_Y_END];
     }
     furnish(w, m, n->rooms, n->nroom);
+    if (n->memory_size)
+        memcpy(w->memory, n->memory, n->memory_size);
+    furnish(w, w->memory, n->memory_rooms, n->nmemory);
     m->solver = n->solver();
+    m->memory = w->memory;
     m->rules = &n->rules;
     m->shares = w->shares;
     m->lu = w->lu;
     ph_master_lu_init(m);
-    return 1;
+    w->before = calloc(1, ph_whole_state_size(w));
+    return w->before != NULL;
 }
 
 int ph_whole_make(ph_whole *w) {
@@ -152,8 +157,8 @@ void ph_whole_release(void *of) {
     free(w->shares);
     free(w->room);
     free(w->lu);
+    free(w->memory);
     free(w->work);
     free(w->count);
-    free(w->now);
     free(w->before);
 }

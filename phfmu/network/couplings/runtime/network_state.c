@@ -84,12 +84,15 @@ void ph_whole_join(void *of, const double *kept, double part) {
     ph_whole_gather(w);
 }
 
-/* Doubles of a saved state that are not in those of the members. */
+/* Doubles of a saved state that are not in those of the members: the length of the last step, free inputs,
+ * means, what is joined, and what the solver goes on from. */
+static size_t own_values(const ph_whole *w) {
+    return 1 + (size_t)w->sizes.nu + (size_t)w->master.ncolumn +
+           (size_t)ph_whole_njoined(w->about, w->sizes.nu);
+}
+
 static size_t remembered(const ph_whole *w) {
-    const ph_master *m = &w->master;
-    const size_t z = (size_t)(m->nxi + 2 * m->nbare);
-    return (size_t)w->sizes.nu + (size_t)m->ncolumn + (size_t)ph_whole_njoined(w->about, w->sizes.nu) +
-           (PH_COUPLED_KNOWN + 1) * z;
+    return own_values(w) + (size_t)ph_master_remembered(&w->master);
 }
 
 size_t ph_whole_values_size(const ph_whole *w, int i) {
@@ -98,7 +101,7 @@ size_t ph_whole_values_size(const ph_whole *w, int i) {
 
 size_t ph_whole_state_size(const void *of) {
     const ph_whole *w = of;
-    size_t size = ph_padded(sizeof(ph_whole_moment)) + sizeof(double) * remembered(w);
+    size_t size = sizeof(double) * remembered(w);
     for (int i = 0; i < w->about->nmember; i++)
         size += ph_padded(ph_state_size(w->members[i].in)) + ph_padded(ph_whole_values_size(w, i));
     return ph_padded(size);
@@ -107,13 +110,9 @@ size_t ph_whole_state_size(const void *of) {
 void ph_whole_save(const void *of, void *out) {
     const ph_whole *w = of;
     const ph_master *m = &w->master;
-    const int z = m->nxi + 2 * m->nbare;
     char *to = out;
     double *values;
     memset(out, 0, ph_whole_state_size(w));
-    w->now->known = m->known;
-    memcpy(to, w->now, sizeof(ph_whole_moment));
-    to += ph_padded(sizeof(ph_whole_moment));
     for (int i = 0; i < w->about->nmember; i++) {
         const ph_whole_member *own = &w->members[i];
         ph_save(own->in, to);
@@ -123,26 +122,21 @@ void ph_whole_save(const void *of, void *out) {
         to += ph_padded(ph_whole_values_size(w, i));
     }
     values = (double *)(void *)to;
+    *values++ = *w->h;
     ph_copy(values, w->free, w->sizes.nu);
     values += w->sizes.nu;
     ph_copy(values, w->mean, m->ncolumn);
     values += m->ncolumn;
     ph_copy(values, w->joined, ph_whole_njoined(w->about, w->sizes.nu));
-    values += ph_whole_njoined(w->about, w->sizes.nu);
-    ph_copy(values, m->found, z);
-    ph_copy(values + z, m->missed, PH_COUPLED_KNOWN * z);
+    ph_master_save(m, values + ph_whole_njoined(w->about, w->sizes.nu));
 }
 
 int ph_whole_load(void *of, const void *from) {
     ph_whole *w = of;
     ph_master *m = &w->master;
-    const int z = m->nxi + 2 * m->nbare;
     const char *place = from;
     const double *values;
     int status = PH_OK;
-    memcpy(w->now, place, sizeof(ph_whole_moment));
-    m->known = w->now->known;
-    place += ph_padded(sizeof(ph_whole_moment));
     for (int i = 0; i < w->about->nmember && status == PH_OK; i++) {
         const ph_whole_member *own = &w->members[i];
         status = ph_load(own->in, place);
@@ -152,14 +146,14 @@ int ph_whole_load(void *of, const void *from) {
         place += ph_padded(ph_whole_values_size(w, i));
     }
     values = (const double *)(const void *)place;
+    *w->h = *values++;
     ph_copy(w->free, values, w->sizes.nu);
     values += w->sizes.nu;
     ph_copy(w->mean, values, m->ncolumn);
     values += m->ncolumn;
     ph_copy(w->joined, values, ph_whole_njoined(w->about, w->sizes.nu));
-    values += ph_whole_njoined(w->about, w->sizes.nu);
-    ph_copy(m->found, values, z);
-    ph_copy(m->missed, values + z, PH_COUPLED_KNOWN * z);
+    ph_master_spread(m, w->mean);
+    ph_master_load(m, values + ph_whole_njoined(w->about, w->sizes.nu));
     w->begun = 0;
     ph_whole_gather_parameters(w);
     ph_whole_gather(w);
@@ -170,11 +164,6 @@ const char *ph_whole_state_fault(const void *of, const void *from) {
     const ph_whole *w = of;
     const char *place = from;
     const double *values;
-    ph_whole_moment now;
-    memcpy(&now, place, sizeof(ph_whole_moment));
-    if (!isfinite(now.h) || now.known < 0 || now.known > PH_COUPLED_KNOWN)
-        return "a length or a count of the coupling is out of range";
-    place += ph_padded(sizeof(ph_whole_moment));
     for (int i = 0; i < w->about->nmember; i++) {
         const char *wrong = ph_state_fault(w->members[i].in, place);
         if (wrong)
@@ -185,5 +174,7 @@ const char *ph_whole_state_fault(const void *of, const void *from) {
     for (size_t i = 0; i < remembered(w); i++)
         if (!isfinite(values[i]))
             return "a value of the coupling is not finite";
+    if (!ph_master_sound(&w->master, values + own_values(w)))
+        return "a count or a size of the coupling is out of range";
     return NULL;
 }

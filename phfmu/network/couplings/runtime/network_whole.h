@@ -18,13 +18,6 @@ typedef struct ph_whole_member {
     int u, p, pairs, comp, nq; /* first of its inputs, parameters, pairs, components; its pairs */
 } ph_whole_member;
 
-/* What belongs to a saved state besides those of the members; `h` is 0 where the next step is not the
- * continuation of the last. */
-typedef struct ph_whole_moment {
-    double h;
-    int known;
-} ph_whole_moment;
-
 typedef struct ph_whole {
     const ph_network *about;
     ph_master master;
@@ -40,9 +33,10 @@ typedef struct ph_whole {
     double *joined; /* see network.h */
     double *kept;   /* of the internal steps before */
     char *before;   /* a saved state */
-    ph_whole_moment *now;
-    void *room; /* memory of the master, owned, as those below */
+    double *h;      /* of the last step; 0: the next one is not its continuation */
+    void *room;     /* memory of the master, owned, as those below */
     void *lu;
+    void *memory; /* of the solver */
     double *work; /* what the pointers below and above are in */
     int begun;    /* the junctions are those of the start under the present values */
     long long *count;

@@ -35,6 +35,20 @@ static int try(ph_master *m, double t0, double h, const double *guess, double *m
     return PH_OK;
 }
 
+/* Of a solver that solves for them. */
+static int at_instant(ph_master *m, const double *guess, double *mean, double *begin) {
+    int status;
+    memset(m->status, 0, sizeof(int) * (size_t)m->nshare);
+    ph_master_spread(m, guess);
+    status = m->solver->instant(m);
+    memcpy(mean, guess, bytes(m->ncolumn));
+    for (int i = 0; i < m->nxi && status == PH_OK; i++)
+        mean[m->column[i]] = m->z[i];
+    memcpy(begin, mean, bytes(m->ncolumn));
+    m->refused = status;
+    return status;
+}
+
 static double moved(const ph_master *m, const double *to, const double *from) {
     double most = 0.0;
     for (int i = 0; i < m->ncolumn; i++) {
@@ -54,6 +68,8 @@ int ph_master_prepare(ph_master *m, double t0, double h, int steps, const double
     for (int i = 0; i < m->nshare; i++)
         if (m->shares[i].kind->forget)
             m->shares[i].kind->forget(&m->shares[i]);
+    if (m->solver->instant)
+        return at_instant(m, guess, mean, begin);
     status = try(m, t0, h, guess, mean, row);
     if (status)
         return status;
