@@ -55,5 +55,56 @@ class Differentiable(Protocol):
     def reverse(self, arguments: Sequence[ArrayLike], bars: Sequence[ArrayLike]) -> tuple[Array, ...]: ...
 
 
+@dataclass(frozen=True)
+class Restricted:
+    """A function of some of the arguments of another one; the rest are what its model declares."""
+
+    of: Differentiable
+    places: tuple[int, ...]
+
+    @property
+    def name(self) -> str:
+        return self.of.name
+
+    @property
+    def inputs(self) -> tuple[Block, ...]:
+        return tuple(self.of.inputs[i] for i in self.places)
+
+    @property
+    def outputs(self) -> tuple[Block, ...]:
+        return self.of.outputs
+
+    @property
+    def start(self) -> tuple[Array, ...]:
+        return tuple(self.of.start[i] for i in self.places)
+
+    def values(self, *arguments: ArrayLike) -> tuple[Array, ...]:
+        return self.of.values(*self._all(self.of.start, arguments))
+
+    def forward(self, arguments: Sequence[ArrayLike], along: Sequence[ArrayLike]) -> tuple[Array, ...]:
+        nothing = [np.zeros(b.n) for b in self.of.inputs]
+        return self.of.forward(self._all(self.of.start, arguments), self._all(nothing, along))
+
+    def reverse(self, arguments: Sequence[ArrayLike], bars: Sequence[ArrayLike]) -> tuple[Array, ...]:
+        found = self.of.reverse(self._all(self.of.start, arguments), bars)
+        return tuple(found[i] for i in self.places)
+
+    def _all(self, rest: Sequence[ArrayLike], own: Sequence[ArrayLike]) -> list[ArrayLike]:
+        found = list(rest)
+        for i, v in zip(self.places, own, strict=True):
+            found[i] = v
+        return found
+
+
+def restricted(of: Differentiable, free: Sequence[str] | None) -> Differentiable:
+    """`of` with the arguments `free` in their order, None for all; KeyError for one that there is not."""
+    if free is None:
+        return of
+    names = [b.name for b in of.inputs]
+    if lost := [n for n in free if n not in names]:
+        raise KeyError(f"{of.name}: no argument '{lost[0]}'; there are: {', '.join(names)}")
+    return Restricted(of, tuple(names.index(n) for n in free))
+
+
 def _few(names: Sequence[str]) -> str:
     return ", ".join(names[:4]) + (", .." if len(names) > 4 else "")
