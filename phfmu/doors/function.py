@@ -39,7 +39,10 @@ class Differentiable(Protocol):
     Errors of all: StepFailure where a step cannot be solved; NoDerivative, with its time.
     """
 
-    name: str
+    @property
+    def name(self) -> str:
+        """Of the model."""
+        ...
 
     @property
     def inputs(self) -> tuple[Block, ...]: ...

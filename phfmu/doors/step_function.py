@@ -160,7 +160,7 @@ class _Unknowns(ca.Callback):
         bar = ca.MX.sym("a", self._step.model.step.nw, nadj)
         lam = -ca.solve(self._A(*at, w).T, bar)
         found = self._F.reverse(nadj)(*at, w, self._F(*at, w), lam)[: len(at)]
-        return ca.Function(name, [*at, w, bar], found, inames, onames, opts)
+        return ca.Function(name, [*at, w, bar], list(found), inames, onames, opts)
 
     def _symbols(self) -> tuple[list[ca.MX], ca.MX]:
         return [ca.MX.sym(f"a{i}", n) for i, n in enumerate(self._sizes)], ca.MX.sym("w", self._step.model.step.nw)
@@ -183,7 +183,7 @@ class _Unknowns(ca.Callback):
             found = instance.run(t, step.h, 1, record=("unknowns", "counts"))
         if found["counts"][0, 1] > 1:
             raise ValueError(
-                f"{step.name}: the step of {step.h:g} s from t = {t:.9g} s was taken in parts; derivatives are told of whole steps: "
+                f"{step.name}: the step of {step.h:g} s from t = {t:.9g} s was taken in parts; derivatives are of whole steps: "
                 "take shorter ones"
             )
         return found["unknowns"][0]

@@ -34,7 +34,7 @@ def crane() -> PHDAE:
 
 
 def moved(step: StepFunction, way: float, n: int, options: dict[str, Any] | None = None) -> tuple[Any, Any, Any]:
-    """Forces (n) that move the crane by `way` from rest to rest at least sum of u^2, states (nx x n+1), and the solver's facts."""
+    """Forces (n) that move the crane by `way` from rest to rest at least sum of u^2, states (4 x n+1), and the problem, solved."""
     opti, f = ca.Opti(), casadi_function(step, ["x", "u"])
     X, U = opti.variable(4, n + 1), opti.variable(1, n)
     scale = ca.DM([way, way, 300 * way, 300 * way])
@@ -45,6 +45,8 @@ def moved(step: StepFunction, way: float, n: int, options: dict[str, Any] | None
     opti.subject_to(scale * X[:, n] == ca.DM([way, 0, 0, 0]))
     opti.minimize(ca.sumsqr(U) / n)
     opti.set_initial(X[0, :], np.linspace(0, 1, n + 1))
-    opti.solver("ipopt", {"print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.tol": 1e-10, **(options or {})})
+    opti.solver(
+        "ipopt", {"print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.tol": 1e-10, **(options or {})}
+    )
     found = opti.solve()
     return force * np.atleast_1d(found.value(U)), np.array(scale * ca.DM(found.value(X))), opti
