@@ -16,8 +16,8 @@ def casadi_function(of: Differentiable | StepFunction, free: Sequence[str] | Non
     """A Function of the blocks of a `RunFunction` or `StepFunction`, called by their names.
 
     free:  the arguments that it has, in their order; others are what the model declares (default: it has all)
-    Of a step it has derivatives of any order, the second ones that IPOPT takes among them, and sparse matrices; of a run the first
-    ones: give a solver `hessian_approximation: limited-memory`.  It lives as long as the process.
+    Of a step it has derivatives of any order, the second ones that IPOPT takes among them, and sparse matrices.  Of a run it has
+    the first ones: give a solver `hessian_approximation: limited-memory`.  It lives as long as the process.
     Errors: KeyError for an argument that there is not.
     """
     own = restricted(of, free)

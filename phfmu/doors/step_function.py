@@ -25,6 +25,8 @@ from phfmu.derivatives.plan_function import Rows
 from phfmu.derivatives.tangents import require_smooth
 from phfmu.discretise.model import Model
 from phfmu.doors.function import Block
+from phfmu.engine.native.native import NativeInstance
+from phfmu.engine.reference.python import PythonInstance
 
 Array = NDArray[np.float64]
 
@@ -38,8 +40,8 @@ class StepFunction:
     x (nx): states;  u: free inputs of ports, held;  p (np): parameters;  t (1): the start, s;  x1 (nx): states at the end;  y:
     outputs of ports, means over the n steps, so that n h u^T y is the supplied energy;  dissipated (1): energy, J.
     `instance` takes the steps, each from the given values alone.
-    Errors: those of `SensitiveSteps` for models without derivatives; ValueError for h and n; of calls: StepFailure, ValueError for a
-    step that had to be taken in parts.
+    Errors: those of `SensitiveSteps` for models without derivatives; ValueError for h, n and an instance that is none of the model;
+    of calls: StepFailure, ValueError for a step that had to be taken in parts.
     """
 
     def __init__(self, model: Model, instance: Any, h: float, n: int = 1):
@@ -48,6 +50,11 @@ class StepFunction:
             raise ValueError(f"{model.name}: steps of {h} s; their length must be positive and finite")
         if n < 1 or n != int(n):
             raise ValueError(f"{model.name}: {n} steps; expected a whole number from 1")
+        if not isinstance(instance, NativeInstance | PythonInstance) or instance.model is not model:
+            raise ValueError(
+                f"{model.name}: a step function takes a NativeInstance or PythonInstance of this very model, got "
+                f"{type(instance).__name__}; units do not tell the unknowns of their steps"
+            )
         d = model.declaration
         self.name, self.model, self.h, self.n = model.name, model, h, n
         taken = [(i, not p.sends) for p in d.ports if p.external for i in p.input_names()]

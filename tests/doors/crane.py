@@ -34,7 +34,7 @@ def crane() -> PHDAE:
 
 
 def moved(step: StepFunction, way: float, n: int, options: dict[str, Any] | None = None) -> tuple[Any, Any, Any]:
-    """Forces (n) that move the crane by `way` from rest to rest at least sum of u^2, states (4 x n+1), and the problem, solved."""
+    """Forces (n) that move the crane by `way` from rest to rest at least sum of u^2, states (4 x n+1), the solved problem."""
     opti, f = ca.Opti(), casadi_function(step, ["x", "u"])
     X, U = opti.variable(4, n + 1), opti.variable(1, n)
     scale = ca.DM([way, way, 300 * way, 300 * way])

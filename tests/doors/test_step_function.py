@@ -71,7 +71,8 @@ def test_derivatives_are_those_of_differences(case: str, engine: type) -> None:
 
             if case != "four_particle" or block.name != "x":  # positions have to stay on their constraints
                 slopes = richardson(values, at[i][j], 1e-3 * (abs(at[i][j]) or 1.0))
-                np.testing.assert_allclose(J[:, column], slopes, atol=1e-7 * max(np.abs(slopes).max(), 1e-6))
+                rounding = 50 * np.finfo(float).eps * np.abs(values(at[i][j])).max() / (1e-3 * (abs(at[i][j]) or 1.0))
+                np.testing.assert_allclose(J[:, column], slopes, atol=1e-7 * np.abs(slopes).max() + rounding)
             column += 1
 
 
@@ -89,6 +90,35 @@ def test_values_are_those_of_a_run_and_its_ledger(case: str) -> None:
     np.testing.assert_allclose(x1, r["x"][-1], rtol=1e-11, atol=1e-12)
     assert n * h * u @ y == pytest.approx(r["supplied"].sum(), rel=1e-11, abs=1e-14)
     assert lost[0] == pytest.approx(r["dissipated"].sum(), rel=1e-11, abs=1e-14)
+
+
+@pytest.mark.parametrize("engine", [NativeInstance, PythonInstance])
+def test_a_value_does_not_depend_on_what_was_asked_before(engine: type) -> None:
+    own = step("crane", engine)
+    at = point(own)
+    first = own(*at)
+    own(at[0] + 1.0, at[1] * 30, at[2] * 1.2)
+    for again, value in zip(own(*at), first, strict=True):
+        np.testing.assert_array_equal(again, value)
+
+
+def test_many_steps_are_the_chain_of_their_halves() -> None:
+    model = build_model(crane(), Collocated(1))
+    whole, half = (StepFunction(model, NativeInstance(model), 0.02, n) for n in (40, 20))
+    x, u, p, t = point(whole)
+    between = half(x, u, p, t)
+    end = half(between[0], u, p, t + 0.4)
+    found = whole(x, u, p, t)
+    np.testing.assert_allclose(found[0], end[0], rtol=1e-12)
+    np.testing.assert_allclose(found[1], (between[1] + end[1]) / 2, rtol=1e-12)
+    bar = np.array([1.0, 2.0, 0.01, 0.03])
+    none = np.zeros(1)
+    later = half.reverse([between[0], u, p, t + 0.4], [bar, none, none])
+    first = half.reverse([x, u, p, t], [later[0], none, none])
+    found = whole.reverse([x, u, p, t], [bar, none, none])
+    np.testing.assert_allclose(found[0], first[0], rtol=1e-10)
+    np.testing.assert_allclose(found[1], first[1] + later[1], rtol=1e-10)
+    np.testing.assert_allclose(found[2], first[2] + later[2], rtol=1e-9)
 
 
 def test_casadi_takes_it_and_keeps_it() -> None:
@@ -128,6 +158,8 @@ def test_second_derivatives_are_those_of_differences() -> None:
 def test_what_is_refused() -> None:
     model = build_model(crane(), Collocated(1))
     instance = NativeInstance(model)
+    with pytest.raises(ValueError, match="of this very model, got NativeInstance"):
+        StepFunction(build_model(crane(), Collocated(2)), instance, 0.1)
     with pytest.raises(ValueError, match="steps of 0"):
         StepFunction(model, instance, 0.0)
     with pytest.raises(ValueError, match="whole number from 1"):
