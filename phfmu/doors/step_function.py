@@ -40,8 +40,8 @@ class StepFunction:
     x (nx): states;  u: free inputs of ports, held;  p (np): parameters;  t (1): the start, s;  x1 (nx): states at the end;  y:
     outputs of ports, means over the n steps, so that n h u^T y is the supplied energy;  dissipated (1): energy, J.
     `instance` takes the steps, each from the given values alone.
-    Errors: those of `SensitiveSteps` for models without derivatives; ValueError for h, n and an instance that is none of the model;
-    of calls: StepFailure, ValueError for a step that had to be taken in parts.
+    Errors: those of `SensitiveSteps` for models without derivatives; ValueError for h, n, an instance of another model; of calls:
+    StepFailure, ValueError for a step that had to be taken in parts.
     """
 
     def __init__(self, model: Model, instance: Any, h: float, n: int = 1):
@@ -126,7 +126,10 @@ class _Unknowns(ca.Callback):
         for i, j, c in zip(plan.update_x, plan.update_w, plan.update_c, strict=True):
             U[int(i), int(j)] += float(c)
         self._F = ca.Function("F", [*at, rows.w], [ca.densify(F)])
-        self._A = ca.Function("A", [*at, rows.w], [ca.jacobian(F, rows.w)])
+        A = ca.Function("A", [*at, rows.w], [ca.jacobian(F, rows.w)])
+        self._rows, self._columns = _scales(A, step, plan.nominal)
+        scaled = ca.diag(self._rows) @ ca.jacobian(F, rows.w) @ ca.diag(self._columns)
+        self._A = ca.Function("A", [*at, rows.w], [scaled])
         self.told = ca.Function("told", [*at, rows.w], [at[0] + U @ rows.w, T[: plan.nu], T[plan.nu]])
         self.construct(f"{plain(step.name)}_unknowns", {})
         CALLED.append(self)
@@ -157,7 +160,8 @@ class _Unknowns(ca.Callback):
         seeds = [ca.MX.sym(f"f{i}", n, nfwd) for i, n in enumerate(self._sizes)]
         none = ca.MX(self._step.model.step.nw, nfwd)
         moved = self._F.forward(nfwd)(*at, w, self._F(*at, w), *seeds, none)
-        return ca.Function(name, [*at, w, *seeds], [-ca.solve(self._A(*at, w), moved)], inames, onames, opts)
+        dw = -self._columns * _refined(self._A(*at, w), self._rows * moved)
+        return ca.Function(name, [*at, w, *seeds], [dw], inames, onames, opts)
 
     def has_reverse(self, nadj: int) -> bool:
         return True
@@ -165,7 +169,7 @@ class _Unknowns(ca.Callback):
     def get_reverse(self, nadj: int, name: str, inames: Any, onames: Any, opts: Any) -> ca.Function:
         at, w = self._symbols()
         bar = ca.MX.sym("a", self._step.model.step.nw, nadj)
-        lam = -ca.solve(self._A(*at, w).T, bar)
+        lam = -self._rows * _refined(self._A(*at, w).T, self._columns * bar)
         found = self._F.reverse(nadj)(*at, w, self._F(*at, w), lam)[: len(at)]
         return ca.Function(name, [*at, w, bar], list(found), inames, onames, opts)
 
@@ -194,6 +198,20 @@ class _Unknowns(ca.Callback):
                 "take shorter ones"
             )
         return found["unknowns"][0]
+
+
+def _scales(A: ca.Function, step: StepFunction, nominal: Array) -> tuple[ca.DM, ca.DM]:
+    """Of the rows (nw) and columns (nw) of A: unknowns in their nominal values, the largest entry of each row at the start 1."""
+    columns = np.where(nominal > 0, nominal, 1.0)
+    entries = np.abs(np.array(ca.DM(A(*step.start, columns)), float)) * columns
+    rows = np.max(np.where(np.isfinite(entries), entries, 0.0), axis=1, initial=0.0)
+    return ca.DM(1.0 / np.where(rows > 0, rows, 1.0)), ca.DM(columns)
+
+
+def _refined(A: ca.MX, b: ca.MX) -> ca.MX:
+    """A^-1 b, with one step of refinement."""
+    found = ca.solve(A, b)
+    return found + ca.solve(A, b - A @ found)
 
 
 def _several(step: StepFunction, unknowns: _Unknowns) -> ca.Function:

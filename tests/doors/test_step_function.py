@@ -7,8 +7,19 @@ import gc
 import numpy as np
 import pytest
 
-from phfmu import Collocated, NativeInstance, PythonInstance, StepFunction, TwoLevel, build_model, casadi_function
-from phfmu.components.library import build
+from phfmu import (
+    PHDAE,
+    Collocated,
+    NativeInstance,
+    PythonInstance,
+    Scene,
+    StepFunction,
+    TwoLevel,
+    build_model,
+    casadi_function,
+    default_scheme,
+)
+from phfmu.components.library import LIBRARY, build
 from phfmu.doors.function import Differentiable
 from tests.derivatives.differences import richardson
 from tests.doors.crane import crane
@@ -102,6 +113,30 @@ def test_a_value_does_not_depend_on_what_was_asked_before(engine: type) -> None:
         np.testing.assert_array_equal(again, value)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("order", [2, 4, 6])
+@pytest.mark.parametrize("name", LIBRARY)
+def test_models_of_the_library(name: str, order: int) -> None:
+    """One step from the start: the states of an instance to the bit or its rounding, and both ways of J in one product."""
+    found = build(name)
+    d = found if isinstance(found, PHDAE) else found.declaration()
+    h = found.step if isinstance(found, Scene) and found.step else 1e-3
+    try:
+        model = build_model(d, default_scheme(d, order))
+        own = StepFunction(model, NativeInstance(model), h)
+    except ValueError as error:
+        pytest.skip(str(error))
+    instance = NativeInstance(model)
+    x1 = instance.run(model.t0, h, 1, record=("x",))["x"][-1]
+    rng = np.random.default_rng(0)
+    along, bars = ([rng.normal(size=b.n) for b in blocks] for blocks in (own.inputs, own.outputs))
+    np.testing.assert_allclose(own()[0], x1, rtol=1e-12, atol=1e-14 * np.abs(x1).max(initial=0.0))
+    forward, back = own.forward(own.start, along), own.reverse(own.start, bars)
+    products = [a @ b for a, b in zip(forward, bars, strict=True)]
+    size = sum(np.abs(a) @ np.abs(b) for a, b in zip(forward, bars, strict=True))
+    assert abs(sum(products) - sum(a @ b for a, b in zip(back, along, strict=True))) <= 1e-10 * size
+
+
 def test_many_steps_are_the_chain_of_their_halves() -> None:
     model = build_model(crane(), Collocated(1))
     whole, half = (StepFunction(model, NativeInstance(model), 0.02, n) for n in (40, 20))
@@ -131,7 +166,7 @@ def test_casadi_takes_it_and_keeps_it() -> None:
     for found, value in zip(f(x, u), expected, strict=True):
         np.testing.assert_array_equal(np.array(found).reshape(-1), value)
     jac = f.jacobian()(x, u, *f(x, u))
-    np.testing.assert_allclose(np.hstack([jac[0], jac[1]]), J[:4, :5], rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(np.hstack([np.array(jac[0]), np.array(jac[1])]), J[:4, :5], rtol=1e-12, atol=1e-12)
 
 
 def test_second_derivatives_are_those_of_differences() -> None:
