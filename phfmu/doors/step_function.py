@@ -26,7 +26,9 @@ from phfmu.derivatives.tangents import require_smooth
 from phfmu.discretise.model import Model
 from phfmu.doors.function import Block
 from phfmu.engine.native.native import NativeInstance
+from phfmu.engine.native.reverse import NoDerivative
 from phfmu.engine.reference.python import PythonInstance
+from phfmu.outcome.status import StepFailure
 
 Array = NDArray[np.float64]
 
@@ -68,27 +70,27 @@ class StepFunction:
         self.outputs = tuple(Block(k, tuple(v)) for k, v in told.items())
         self.start = model.x0.copy(), model.u0[self.places], model.p0.copy(), np.array([model.t0])
         #: what CasADi takes
-        self.function = _several(self, _Unknowns(self, instance))
+        self._unknowns = _Unknowns(self, instance)
+        self.function = _several(self, self._unknowns)
 
     def __call__(self, *arguments: ArrayLike) -> tuple[Array, ...]:
         """(x1, y, dissipated); arguments that are left out are those of the model."""
         return self.values(*arguments, *self.start[len(arguments) :])
 
     def values(self, *arguments: ArrayLike) -> tuple[Array, ...]:
-        return self._flat(self.function.call(self._given(arguments)))
+        return self._called(self.function, self._given(arguments))
 
     def forward(self, arguments: Sequence[ArrayLike], along: Sequence[ArrayLike]) -> tuple[Array, ...]:
         """J along, per result."""
         given = self._given(arguments)
         seeds = [b.of(v) for b, v in zip(self.inputs, along, strict=True)]
-        return self._flat(self._along.call([*given, *self.function.call(given), *map(ca.DM, seeds)]))
+        return self._called(self._along, [*given, *self._called(self.function, given), *seeds])
 
     def reverse(self, arguments: Sequence[ArrayLike], bars: Sequence[ArrayLike]) -> tuple[Array, ...]:
         """J^T bars, per argument."""
         given = self._given(arguments)
         seeds = [b.of(v) for b, v in zip(self.outputs, bars, strict=True)]
-        found = self._back.call([*given, *self.function.call(given), *map(ca.DM, seeds)])
-        return tuple(np.array(v, float).reshape(-1) for v in found)
+        return self._called(self._back, [*given, *self._called(self.function, given), *seeds])
 
     @cached_property
     def _along(self) -> ca.Function:
@@ -98,12 +100,17 @@ class StepFunction:
     def _back(self) -> ca.Function:
         return self.function.reverse(1)
 
-    def _given(self, arguments: Sequence[ArrayLike]) -> list[ca.DM]:
-        return [ca.DM(b.of(v)) for b, v in zip(self.inputs, arguments, strict=True)]
+    def _given(self, arguments: Sequence[ArrayLike]) -> list[Array]:
+        return [b.of(v) for b, v in zip(self.inputs, arguments, strict=True)]
 
-    @staticmethod
-    def _flat(values: Sequence[ca.DM]) -> tuple[Array, ...]:
-        return tuple(np.array(v, float).reshape(-1) for v in values)
+    def _called(self, function: ca.Function, given: Sequence[Array]) -> tuple[Array, ...]:
+        """Results of a function of CasADi, which hides what was raised within it."""
+        self._unknowns.failure = None
+        try:
+            found = function.call([ca.DM(v) for v in given])
+        except RuntimeError as error:
+            raise self._unknowns.failure or NoDerivative(float(given[3][0])) from error
+        return tuple(np.array(v, float).reshape(-1) for v in found)
 
 
 class _Unknowns(ca.Callback):
@@ -112,6 +119,8 @@ class _Unknowns(ca.Callback):
     def __init__(self, step: StepFunction, instance: Any):
         ca.Callback.__init__(self)
         self._step, self._instance, self._lock = step, instance, RLock()
+        #: what the last call raised
+        self.failure: Exception | None = None
         instance.reset()
         self._begin = instance.get_state()
         rows, plan = Rows(step.model.step), step.model.step
@@ -150,7 +159,11 @@ class _Unknowns(ca.Callback):
 
     def eval(self, arg: Sequence[ca.DM]) -> list[ca.DM]:
         x, u, p, t = (np.array(a, float).reshape(-1) for a in arg)
-        return [ca.DM(self._solved(x, u, p, float(t[0])))]
+        try:
+            return [ca.DM(self._solved(x, u, p, float(t[0])))]
+        except (StepFailure, ValueError) as failure:
+            self.failure = failure
+            raise
 
     def has_forward(self, nfwd: int) -> bool:
         return True

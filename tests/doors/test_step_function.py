@@ -13,6 +13,7 @@ from phfmu import (
     NativeInstance,
     PythonInstance,
     Scene,
+    StepFailure,
     StepFunction,
     TwoLevel,
     build_model,
@@ -206,6 +207,8 @@ def test_what_is_refused() -> None:
         own([0.0, np.nan, 0.0, 0.0])
     with pytest.raises(KeyError, match="no argument 'force'; there are: x, u, p, t"):
         casadi_function(own, ["force"])
+    with pytest.raises(StepFailure, match="crane"):
+        StepFunction(model, instance, 3e3)([0.0, 3.0, 1e4, -1e4], [1e5])
     bouncing = build_model(build("bouncing_ball").declaration())
     with pytest.raises(ValueError, match="state events"):
         StepFunction(bouncing, NativeInstance(bouncing), 1e-3)
