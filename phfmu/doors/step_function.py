@@ -43,7 +43,7 @@ class StepFunction:
     outputs of ports, means over the n steps, so that n h u^T y is the supplied energy;  dissipated (1): energy, J.
     `instance` takes the steps, each from the given values alone.
     Errors: those of `SensitiveSteps` for models without derivatives; ValueError for h, n, an instance of another model; of calls:
-    StepFailure, ValueError for a step that had to be taken in parts.
+    StepFailure, NoDerivative with its time, ValueError for a step in parts and for derivatives that are not finite.
     """
 
     def __init__(self, model: Model, instance: Any, h: float, n: int = 1):
@@ -84,13 +84,13 @@ class StepFunction:
         """J along, per result."""
         given = self._given(arguments)
         seeds = [b.of(v) for b, v in zip(self.inputs, along, strict=True)]
-        return self._called(self._along, [*given, *self._called(self.function, given), *seeds])
+        return self._derived(self._along, self.outputs, [*given, *self._called(self.function, given), *seeds])
 
     def reverse(self, arguments: Sequence[ArrayLike], bars: Sequence[ArrayLike]) -> tuple[Array, ...]:
         """J^T bars, per argument."""
         given = self._given(arguments)
         seeds = [b.of(v) for b, v in zip(self.outputs, bars, strict=True)]
-        return self._called(self._back, [*given, *self._called(self.function, given), *seeds])
+        return self._derived(self._back, self.inputs, [*given, *self._called(self.function, given), *seeds])
 
     @cached_property
     def _along(self) -> ca.Function:
@@ -102,6 +102,17 @@ class StepFunction:
 
     def _given(self, arguments: Sequence[ArrayLike]) -> list[Array]:
         return [b.of(v) for b, v in zip(self.inputs, arguments, strict=True)]
+
+    def _derived(self, function: ca.Function, of: Sequence[Block], given: Sequence[Array]) -> tuple[Array, ...]:
+        """The same of derivatives; ValueError where some are not finite."""
+        found = self._called(function, given)
+        for block, values in zip(of, found, strict=True):
+            if lost := [n for n, v in zip(block.names, values.tolist(), strict=True) if not isfinite(v)]:
+                raise ValueError(
+                    f"{self.name}: the step from t = {given[3][0]:.9g} s has no finite derivative at {lost[0]} ({block.name}), as where "
+                    "a power of zero is derived by its exponent; leave that point or that argument"
+                )
+        return found
 
     def _called(self, function: ca.Function, given: Sequence[Array]) -> tuple[Array, ...]:
         """Results of a function of CasADi, which hides what was raised within it."""
