@@ -109,8 +109,8 @@ class StepFunction:
         for block, values in zip(of, found, strict=True):
             if lost := [n for n, v in zip(block.names, values.tolist(), strict=True) if not isfinite(v)]:
                 raise ValueError(
-                    f"{self.name}: the step from t = {given[3][0]:.9g} s has no finite derivative at {lost[0]} ({block.name}), as where "
-                    "a power of zero is derived by its exponent; leave that point or that argument"
+                    f"{self.name}: the step from t = {given[3][0]:.9g} s has no finite derivative at {lost[0]} ({block.name}), "
+                    "as where a power of zero is derived by its exponent; leave that point or that argument"
                 )
         return found
 
