@@ -63,6 +63,11 @@ from phfmu.discretise.model import build_model as build_model
 from phfmu.discretise.model import default_scheme as default_scheme
 from phfmu.discretise.start import Projection as Projection
 from phfmu.discretise.start import project_start as project_start
+from phfmu.doors.casadi_function import casadi_function as casadi_function
+from phfmu.doors.jax_function import jax_function as jax_function
+from phfmu.doors.run_function import RunFunction as RunFunction
+from phfmu.doors.step_function import StepFunction as StepFunction
+from phfmu.doors.torch_function import torch_function as torch_function
 from phfmu.engine.native.native import NativeInstance as NativeInstance
 from phfmu.engine.reference.python import PythonInstance as PythonInstance
 from phfmu.engine.switched import SwitchedInstance as SwitchedInstance

@@ -22,7 +22,7 @@ ROOMS = (
     "network", "network.scene",
     "network.members", "network.interface", "network.impulses", "network.couplings", "network.as_unit",
     "runs", "network.check_scene", "ssp", "operating", "components", "arguments", "target", "report",
-    "sweeps", "derivatives", "studies", "cli",
+    "sweeps", "derivatives", "doors", "studies", "cli",
 )  # fmt: skip
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ from phfmu.derivatives.by import By
 from phfmu.discretise.model import Model
 from phfmu.discretise.start import Projection
 from phfmu.network.couplings.monolithic import Monolithic
+from phfmu.network.members.inputs import Inputs
 from phfmu.network.scene import Event
 from phfmu.outcome.steps import Steps
 from phfmu.schemes.scheme import Scheme
@@ -37,6 +38,31 @@ class DerivedSteps(Monolithic):
     def begun(self) -> bool:
         """Steps were taken: a value that is set now belongs to no start."""
         return self._last is not None
+
+    def begin(self, values: Mapping[str, float]) -> None:
+        """Back to the start, with other parameters, start values or held inputs, by scalar name."""
+        i, d = self.instance, self.model.declaration
+        i.reset()
+        self._inputs = Inputs(i, self.model)
+        p, x = self.model.p0.copy(), self.model.x0.copy()
+        states = {n: j for j, n in enumerate(n for v in d.states for n in v.names())}
+        for name, value in values.items():
+            if name in states:
+                x[states[name]] = value
+            elif name in self._inputs.parameters:
+                p[self._inputs.parameters[name]] = value
+            else:
+                self._inputs.u[self._inputs.inputs[name]] = value
+        i.set_parameters(p)
+        i.set_input(self._inputs.u)
+        i.set_x(self.model.t0, x)
+        i.initialise()
+        self._rebook()
+        self._given, self._last = x, None
+        self.forget()
+
+    def forget(self) -> None:
+        """What was kept of the steps so far belongs to another run."""
 
     def cut(self, name: str) -> None:
         """A value of a parameter or input is set that does not follow that of the start."""

@@ -72,28 +72,67 @@ def gradient(
     """
     wanted = run_measures(of, Columns(model, instance.layout).names)
     names = By.of(model.declaration, by).names
-    chosen = _chosen(mode, instance, len(wanted), len(names))
-    signals = list(dict.fromkeys(n for m in wanted for n in m.signals))
-    options = replace(options, every=None)
-    if chosen == "reverse":
-        require_smooth(model)
-        taped = TapedSteps(model, instance, by, memory)
-        taped.needs(signals)
-        found = run(taped, replace(options, signals=signals), inputs=inputs)
-        columns = {n: found.column(n) for n in signals}
-        slopes = taped.slopes([m.weights(found.time, columns) for m in wanted])
-    else:
-        stepper = SensitiveSteps(model, instance, by, signals)
-        found = run(stepper, replace(options, signals=stepper.columns), inputs=inputs)
-        columns = {n: found.column(n) for n in signals}
+    chosen = chosen_mode(mode, instance, len(wanted), len(names))
+    found = measured(stepper_of(chosen, model, instance, by, wanted, memory), options, wanted, inputs)
+    slopes = found.slopes([m.weights(found.time, found.columns) for m in wanted])
+    return Gradient(tuple(map(str, wanted)), names, found.values(wanted), slopes, chosen)
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A run by a stepper with derivatives: times and columns of its rows that are measured."""
+
+    stepper: TapedSteps | SensitiveSteps
+    time: Array
+    columns: dict[str, Array]
+    #: by signal, of forward steps: the derivatives of its rows (rows x names)
+    along: dict[str, Array]
+
+    def values(self, of: Sequence[RunMeasure]) -> Array:
+        """Values of measures (n)."""
+        return np.array([m.value(self.time, self.columns) for m in of])
+
+    def slopes(self, weights: Sequence[dict[str, Array]]) -> Array:
+        """Derivatives (n x names) of n numbers of the run with weights by signal and row."""
+        if isinstance(self.stepper, TapedSteps):
+            return self.stepper.slopes(weights)
+        n = len(self.stepper.by.names)
+        found = [sum((c @ self.along[s] for s, c in w.items()), np.zeros(n)) for w in weights]
+        return np.array(found).reshape(len(weights), n)
+
+
+def stepper_of(
+    chosen: str, model: Model, instance: Any, by: Sequence[str], of: Sequence[RunMeasure], memory: int = MEMORY
+) -> TapedSteps | SensitiveSteps:
+    """Steps whose runs tell measures and their derivatives, the way that was chosen."""
+    signals = _signals(of)
+    if chosen == "forward":
+        return SensitiveSteps(model, instance, by, signals)
+    require_smooth(model)
+    taped = TapedSteps(model, instance, by, memory)
+    taped.needs(signals)
+    return taped
+
+
+def measured(
+    stepper: TapedSteps | SensitiveSteps, options: Options, of: Sequence[RunMeasure], inputs: Any = None
+) -> Measured:
+    """The run of a stepper that was made for these measures."""
+    signals, names = _signals(of), stepper.by.names
+    wanted = signals if isinstance(stepper, TapedSteps) else stepper.columns
+    found = run(stepper, replace(options, every=None, signals=wanted), inputs=inputs)
+    along = {}
+    if not isinstance(stepper, TapedSteps):
         along = {s: np.column_stack([found.column(derivative_name(s, n)) for n in names]) for s in signals}
-        weights = [m.weights(found.time, columns) for m in wanted]
-        slopes = np.array([sum((c @ along[s] for s, c in w.items()), np.zeros(len(names))) for w in weights])
-    values = np.array([m.value(found.time, columns) for m in wanted])
-    return Gradient(tuple(map(str, wanted)), names, values, slopes.reshape(len(wanted), len(names)), chosen)
+    return Measured(stepper, found.time, {n: found.column(n) for n in signals}, along)
 
 
-def _chosen(mode: Mode, instance: Any, measures: int, names: int) -> str:
+def _signals(of: Sequence[RunMeasure]) -> list[str]:
+    return list(dict.fromkeys(n for m in of for n in m.signals))
+
+
+def chosen_mode(mode: Mode, instance: Any, measures: int, names: int) -> str:
+    """Forward or reverse, what costs less if it is open; ValueError where a mode is none, or has no code."""
     if mode not in get_args(Mode):
         raise ValueError(f"mode '{mode}': expected {', '.join(get_args(Mode))}")
     native = isinstance(instance, NativeInstance)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from phfmu.derivatives.derived import DerivedSteps
 from phfmu.derivatives.tangents import Taken, Tangents, of_quantities
 from phfmu.discretise.model import Model
-from phfmu.network.members.inputs import Inputs
 from phfmu.outcome.steps import Steps
 from phfmu.signals import Quantity, SignalKind, derivative_name, quantities
 
@@ -40,25 +39,7 @@ class SensitiveSteps(DerivedSteps):
         """Names of the signals that are derived, each followed by its derivatives."""
         return [c for q in self.derived for c in (q.name, *(derivative_name(q.name, n) for n in self.by.names))]
 
-    def begin(self, values: Mapping[str, float]) -> None:
-        """Back to the start, with other parameters, start values or held inputs, by scalar name."""
-        i, d = self.instance, self.model.declaration
-        i.reset()
-        self._inputs = Inputs(i, self.model)
-        p, x = i.parameters.copy(), self.model.x0.copy()
-        states = {n: j for j, n in enumerate(n for v in d.states for n in v.names())}
-        for name, value in values.items():
-            if name in states:
-                x[states[name]] = value
-            elif name in self._inputs.parameters:
-                p[self._inputs.parameters[name]] = value
-            else:
-                self._inputs.u[self._inputs.inputs[name]] = value
-        i.set_parameters(p)
-        i.set_input(self._inputs.u)
-        i.set_x(self.model.t0, x)
-        i.initialise()
-        self._given, self._last = x, None
+    def forget(self) -> None:
         self._tangents.reset()
 
     @property

@@ -90,6 +90,9 @@ class TapedSteps(DerivedSteps):
         """What will be measured."""
         self._instants = any(self._quantities[n].block in OF_INSTANT for n in signals)
 
+    def forget(self) -> None:
+        self.legs = []
+
     def cut(self, name: str) -> None:
         self.legs[-1].cuts.append(name)
 
