@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.files import beside, require_writable
+from phfmu.files import beside, remains, require_writable
 from phfmu.results.columns_file import write_columns
 from phfmu.results.schema import UNIT_KEY, schema
 
@@ -58,6 +58,7 @@ class TableWriter:
         self._marked, self._units_row = marked, units_row
         self._format: Any = None
         self._partial: Path | None = None
+        self._left: Path | None = None
         #: rows taken, and the time of the last one
         self.rows, self.last = 0, 0.0
         self._marks = marks or going_on is not None
@@ -107,8 +108,18 @@ class TableWriter:
                 self._format.close()
                 if self._target.suffix == ".csv":
                     write_columns(self._target, self._schema())
-                os.replace(self._partial, self._target)
+                if isinstance(self._format, _Stream):
+                    self._left = self._partial
+                    os.replace(self._format.made(), self._target)
+                else:
+                    os.replace(self._partial, self._target)
             self._partial = None
+
+    def drop(self) -> None:
+        """Remove the stream that the table was made of, which a run could go on from until then."""
+        if self._left is not None:
+            self._left.unlink(missing_ok=True)
+            self._left = None
 
     @contextmanager
     def _cut_on_failure(self) -> Iterator[None]:
@@ -165,6 +176,8 @@ class _Stream:
     def __init__(self, path: Path, schema: pa.Schema, table: Callable[[Path], _CSV | _Parquet], size: int | None = None):
         self._path, self._table = path, table
         self._file = open(path, "r+b" if size is not None else "wb")
+        for left in remains(path):  # tables that were not finished
+            left.unlink()
         if size is None:
             self._file.write(schema.serialize())
         elif self._file.seek(0, os.SEEK_END) < size:
@@ -195,16 +208,19 @@ class _Stream:
         return self._whole > 0
 
     def close(self) -> None:
+        self._file.close()
+
+    def made(self) -> Path:
+        """The table of all rows, in a file of its own."""
         import pyarrow as pa
 
-        self._file.close()
         made = beside(self._path)
         table = self._table(made)
         with open(self._path, "rb") as file:
             for batch in pa.ipc.open_stream(file):
                 table.add(batch)
         table.close()
-        os.replace(made, self._path)
+        return made
 
 
 class _Parquet:

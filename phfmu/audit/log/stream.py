@@ -115,8 +115,8 @@ class AuditWriter:
         sections, self._sections, self._events, self._pending = self._sections, [], [], 0
         self._put(sections)
 
-    def close(self) -> Path:
-        """Flush, compact to Parquet, remove the stream and return the Parquet path; again is harmless.
+    def close(self, keep: bool = False) -> Path:
+        """Flush, compact to Parquet, remove the stream (`keep`: by `drop`) and return the Parquet path; again is harmless.
 
         Errors: OSError, e.g. of a full disk, or where the stream does not hold what was written; it is kept then and
         `recover` gives its complete batches.
@@ -137,8 +137,13 @@ class AuditWriter:
                     f"`phfmu audit recover {self.stream}`"
                 ) from error
             self._release()
-            self.stream.unlink()
+            if not keep:
+                self.drop()
         return self.path
+
+    def drop(self) -> None:
+        """Remove the stream of a log that is closed, which a run could go on from until then."""
+        self.stream.unlink(missing_ok=True)
 
     def mark(self) -> dict[str, Any]:
         """Where the stream is, all rows so far on the disk; for `going_on`."""
