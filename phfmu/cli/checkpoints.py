@@ -1,7 +1,7 @@
 """phfmu run --checkpoint and --resume: the file of a checkpoint, what it belongs to, and when it is written.
 
-The file is one line of JSON (what the run is, and the SHA-256 of the rest) and the data of `runs/checkpoints.py`.  It is put in its
-place when it is whole, so that a run that is killed leaves the last one.
+The file is one line of JSON (what the run is, and the SHA-256 of the rest) and the data of `runs/checkpoints.py`.  It is put in
+its place when it is whole, so that a run that is killed leaves the last one.
 """
 
 from __future__ import annotations
@@ -69,7 +69,9 @@ class Checkpoints:
         self._head |= {"seconds": self._seconds, "model": _model(stepper, options)}
         if self.found is not None and self._was["model"] != self._head["model"]:
             differ = [n for n, digest in self._head["model"].items() if self._was["model"].get(n) != digest]
-            raise ValueError(f"--resume {self._args.resume} is of another model: other {', '.join(differ)}; begin it anew")
+            raise ValueError(
+                f"--resume {self._args.resume} is of another model: other {', '.join(differ)}; begin it anew"
+            )
         self._last = monotonic()
 
     def between_blocks(self, now: Callable[[], dict[str, Any]]) -> None:
@@ -106,7 +108,9 @@ class Checkpoints:
             raise ValueError(f"--checkpoint {args.checkpoint:g} s: expected a number from 0, e.g. 10")
         for name in _WITHOUT:
             if getattr(args, name):
-                raise ValueError(f"--{name} is not kept by a checkpoint; leave it out, or leave out --checkpoint and --resume")
+                raise ValueError(
+                    f"--{name} is not kept by a checkpoint; leave it out, or leave out --checkpoint and --resume"
+                )
         if args.sensitivity:
             raise ValueError("--sensitivity is not kept by a checkpoint yet; leave one of the two out")
 
@@ -120,7 +124,9 @@ class Checkpoints:
         ]
         differ += changed(was, self._args)
         if differ:
-            raise ValueError(f"--resume {resume} is of another run: {'; '.join(differ)}; begin it anew, or give back what it had")
+            raise ValueError(
+                f"--resume {resume} is of another run: {'; '.join(differ)}; begin it anew, or give back what it had"
+            )
 
 
 def _path(args: argparse.Namespace) -> str:

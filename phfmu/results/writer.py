@@ -85,9 +85,7 @@ class TableWriter:
     def _table(self, path: Path) -> _CSV | _Parquet:
         """The table itself, by the ending of the target."""
         kinds = self._schema()
-        return (
-            _Parquet(path, kinds) if self._target.suffix == ".parquet" else _CSV(path, kinds, self._units_row)
-        )
+        return _Parquet(path, kinds) if self._target.suffix == ".parquet" else _CSV(path, kinds, self._units_row)
 
     def mark(self) -> dict[str, Any]:
         """Where its stream is, all rows so far on the disk; for `going_on`."""
@@ -173,7 +171,9 @@ class _CSV:
 class _Stream:
     """Rows as a stream of Arrow, which can be gone on from any whole row block; made a `table` of on `close`."""
 
-    def __init__(self, path: Path, schema: pa.Schema, table: Callable[[Path], _CSV | _Parquet], size: int | None = None):
+    def __init__(
+        self, path: Path, schema: pa.Schema, table: Callable[[Path], _CSV | _Parquet], size: int | None = None
+    ):
         self._path, self._table = path, table
         self._file = open(path, "r+b" if size is not None else "wb")
         for left in remains(path):  # tables that were not finished

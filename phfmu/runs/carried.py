@@ -1,7 +1,7 @@
-"""What a run carries from step to step: each class names the attributes in `CARRIED`, and these two functions take and give them.
+"""What a run carries from step to step: each class names its attributes in `CARRIED`; these two functions take and give them.
 
-An attribute whose class has a `CARRIED` of its own is gone into, an instance is its saved state, an array keeps its place in memory,
-since others may share it, and everything else is kept as it is, so it must be plain data.
+An attribute whose class has a `CARRIED` of its own is gone into, an instance is its saved state, an array keeps its place in
+memory, since others may share it, and everything else is kept as it is, so it must be plain data.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ takes the steps of one that was never ended.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, cast
 
 from phfmu.runs.carried import carried, carry
 
@@ -31,7 +31,7 @@ class Carriers:
     def __init__(self, **parts: Any):
         self._parts = parts
         #: number of the stretch, from 0;  what the start left: how it was projected, changes of constraints before it
-        self.stretch, self.start = 0, None
+        self.stretch, self.start = 0, cast("Any", None)
 
     def now(self) -> dict[str, Any]:
         """What they carry."""

@@ -78,8 +78,8 @@ def next_goal(ahead: Array, t: float) -> float:
 
 @dataclass(frozen=True)
 class Place:
-    """Where a march is in a stretch, between two blocks of rows: the next step is `first` of the grid number `piece`, or starts at
-    the time t (s) where steps have any length.
+    """Where a march is in a stretch, between two blocks of rows: the next step is `first` of the grid number `piece`, or starts
+    at the time t (s) where steps have any length.
 
     left: damped steps that are still to be taken;  changed: something was set since the last step
     """

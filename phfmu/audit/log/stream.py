@@ -39,8 +39,8 @@ class AuditWriter:
 
     Use as a context manager: on an exception the log is closed and compacted all the same. `metadata` are
     free keys (units per port, model hash, options); values that are not strings are kept as JSON. `table`: the result table
-    of the same run, about whose remains `recover` tells; `going_on`: what `mark` told of a stream that was left. From the start the stream is a readable log, and locked until
-    `close`.
+    of the same run, about whose remains `recover` tells; `going_on`: what `mark` told of a stream that was left. From the
+    start the stream is a readable log, and locked until `close`.
     Errors: ValueError for an ending other than .parquet; LogInUse if another run writes the log; FileExistsError if a
     broken run's stream is there.
     """
