@@ -21,8 +21,8 @@ RUNS = {
     "events": ("bouncing_ball", "--stop", "20", "--step", "0.0002"),
     "damped": ("buffer", "--stop", "800", "--restart", "2"),
     "tolerance": ("drive", "--stop", "40", "--rtol", "1e-6"),
-    "events within a tolerance": ("buffer", "--stop", "400", "--rtol", "1e-6"),
-    "switches": ("buck", "--stop", "0.1"),
+    "events within a tolerance": ("buffer", "--stop", "60", "--rtol", "1e-6"),
+    "switches": ("buck", "--stop", "0.02"),
     "thinned": ("pendulum", "--stop", "3000", "--every", "7"),
 }
 
