@@ -21,7 +21,6 @@ from phfmu.cli.origin import changed, origin
 from phfmu.files import beside, require_writable
 
 if TYPE_CHECKING:
-    from phfmu.cli.outputs import Outputs
     from phfmu.network.couplings.stepper import Stepper
     from phfmu.runs.options import Options
 
@@ -63,9 +62,9 @@ class Checkpoints:
         """Where the files of the run are that goes on."""
         return {} if self.found is None else self.found["outputs"]
 
-    def begin(self, stepper: Stepper, options: Options, outputs: Outputs) -> None:
-        """The run is about to begin; ValueError if that of --resume was of another model."""
-        self._outputs = outputs
+    def begin(self, stepper: Stepper, options: Options, marks: Callable[[], dict[str, Any]]) -> None:
+        """The run is about to begin; `marks`: tells where its files are.  ValueError if that of --resume was of another model."""
+        self._marks = marks
         self._head |= {"seconds": self._seconds, "model": _model(stepper, options)}
         if self.found is not None and self._was["model"] != self._head["model"]:
             differ = [n for n, digest in self._head["model"].items() if self._was["model"].get(n) != digest]
@@ -78,7 +77,7 @@ class Checkpoints:
         """Writes a checkpoint if it is time for one."""
         if self._seconds is None or monotonic() - self._last < self._seconds:
             return
-        marks = self._outputs.marks()
+        marks = self._marks()
         body = pickle.dumps(now() | {"outputs": marks}, protocol=5)
         head = self._head | {"sha256": hashlib.sha256(body).hexdigest()}
         partial = beside(self.path)

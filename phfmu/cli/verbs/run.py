@@ -128,7 +128,7 @@ def call(args: argparse.Namespace) -> int:
     chosen = replace(chosen, events=events, signals=signals, every=_every(args.every))
     if checkpoints.asked:
         chosen = replace(chosen, checkpoints=checkpoints)
-        checkpoints.begin(stepper, chosen, outputs)
+        checkpoints.begin(stepper, chosen, outputs.marks)
     changes = [e for e in (*events, *_of_parameters(stepper, rows)) if e.t < chosen.stop]
     if changes and not is_fmu(args.target):
         require_sound_scene(args, scene, changes)
