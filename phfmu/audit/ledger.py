@@ -68,6 +68,8 @@ class Ledger:
     energies in play, see `Judge`.
     """
 
+    CARRIED = ("_judge", "_sums", "_steps", "_t_start", "_t_end", "_events")
+
     def __init__(self, sink: Sink | None = None, rtol: float = DEFAULT_RTOL) -> None:
         self._sink = sink
         self._judge = Judge(rtol)

@@ -8,6 +8,8 @@ from phfmu.audit.summary import LedgerSummary
 class Unbooked:
     """Takes what a `Ledger` takes and keeps nothing; its summary is that of no steps."""
 
+    CARRIED = ()
+
     def add(self, *block: Any) -> None: ...
 
     def event(self, *row: Any, **more: Any) -> None: ...

@@ -14,7 +14,7 @@ KEY = "phfmu.origin"
 #: options of what is written and shown, which do not change the run, and their values in a run that shows nothing
 SHOWN: dict[str, Any] = {
     "output": None, "plot": None, "view": None, "audit": "none", "quiet": True, "units_row": False, "every": None, "signals": [],
-    "accuracy": False,
+    "accuracy": False, "checkpoint": None, "resume": None,
 }  # fmt: skip
 #: packages that compute
 PACKAGES = ("phfmu", "numpy", "scipy", "casadi")

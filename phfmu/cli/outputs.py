@@ -7,7 +7,7 @@ import sys
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from phfmu.fmu.isolation import exit_guard
 
 if TYPE_CHECKING:
     from phfmu.audit import AuditWriter
+    from phfmu.cli.checkpoints import Checkpoints
     from phfmu.declare.shape import Shape
     from phfmu.network.scene import Event
     from phfmu.report.live_recording import LiveRecording
@@ -33,7 +34,8 @@ class Outputs:
     what was accepted, and a note of the exception says what that is. Without a row nothing is left.
     """
 
-    def __init__(self, args: argparse.Namespace):
+    def __init__(self, args: argparse.Namespace, checkpoints: Checkpoints):
+        self._checkpoints = checkpoints
         audit = audit_file(args)
         self._shown = {"-o": args.output, "--audit": audit, "--plot": args.plot, "--view": args.view}
         self._table_path = self._audit_path = None
@@ -60,7 +62,8 @@ class Outputs:
             from phfmu.audit.log.archive import require_free
             from phfmu.cli.origin import KEY, origin
 
-            require_free(audit, f"--audit {audit}")
+            if checkpoints.found is None:
+                require_free(audit, f"--audit {audit}")
             self._audit_path = Path(audit).absolute()
             self._origin = {KEY: origin(args)}
         if args.plot:
@@ -84,7 +87,8 @@ class Outputs:
         if self._audit_path:
             from phfmu.audit import AuditWriter
 
-            self.sink = AuditWriter(self._audit_path, {**about, **self._origin}, self._table_path)
+            going_on = self._checkpoints.outputs.get("audit")
+            self.sink = AuditWriter(self._audit_path, {**about, **self._origin}, self._table_path, going_on)
 
     def columns(
         self, options: Options, events: Iterable[Event], names: Sequence[str], units: Sequence[str], kinds: Sequence[str],
@@ -108,7 +112,17 @@ class Outputs:
             from phfmu.results.writer import TableWriter
 
             marked = options.dense is not None
-            self.table = TableWriter(self._table_path, names, units, marked, self._units_row, kinds, labels)
+            going_on, marks = self._checkpoints.outputs.get("table"), self._checkpoints.asked
+            self.table = TableWriter(
+                self._table_path, names, units, marked, self._units_row, kinds, labels, going_on, marks
+            )
+
+    def marks(self) -> dict[str, Any]:
+        """Where its files are, all rows so far on the disk."""
+        return {
+            "audit": None if self.sink is None else self.sink.mark(),
+            "table": None if self.table is None else self.table.mark(),
+        }
 
     def keep(self, time: np.ndarray, values: np.ndarray, inside: np.ndarray) -> None:
         """Rows as the run makes them."""
@@ -137,9 +151,17 @@ class Outputs:
         exit_guard.left = ()
         if error is None:
             self._end()
+            self._drop_streams()
+            return
+        if isinstance(error, KeyboardInterrupt) and (option := self._checkpoints.left):
+            for file in (self.sink, self.table):
+                if file is not None:
+                    file.leave()
+            error.add_note(f"the run goes on from its checkpoint with {option}")
             return
         try:
             said = self._end()
+            self._drop_streams()
         except Exception as second:
             error.add_note(str(second))
             return
@@ -158,11 +180,21 @@ class Outputs:
                 said.append(f"{self._shown['-o']}, {self.table.rows} rows to t = {self.table.last:.9g} s")
         finally:
             if self.sink is not None and self.sink.rows:
-                self.sink.close()
+                self.sink.close(self._checkpoints.asked)
                 said.append(f"the audit {self._shown['--audit']}")
             elif self.sink is not None:
                 self.sink.discard()
         return said + self._draw() + self._show()
+
+    def _drop_streams(self) -> None:
+        """Remove the checkpoint of a run whose files are in their places, and then what it would go on from."""
+        if not self._checkpoints.asked:
+            return
+        self._checkpoints.ended()
+        if self.table is not None:
+            self.table.drop()
+        if self.sink is not None:
+            self.sink.drop()
 
     def _show(self) -> list[str]:
         """The motion of the rows, if it was asked for and there are any."""

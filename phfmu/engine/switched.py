@@ -38,6 +38,8 @@ class SwitchedInstance(Signals):
     those of the model; the hidden constraints of a mode hold by what entering it does.
     """
 
+    CARRIED = ("typical_step",)
+
     def __init__(self, model: Model, make: Callable[[Model], Any]):
         if model.modes is None:
             raise ValueError(f"{model.name} has no switches: make the instance itself")

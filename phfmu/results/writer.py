@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.files import beside, require_writable
+from phfmu.files import beside, remains, require_writable
 from phfmu.results.columns_file import write_columns
 from phfmu.results.schema import UNIT_KEY, schema
 
@@ -37,7 +37,8 @@ class TableWriter:
     By the file's ending. Rows go to a file beside the target while they are made, which takes the target's place on
     `close`: memory does not grow with the run, and what was there before stays until then. `units` and `kinds` are in the
     metadata of Parquet's columns, as are `labels`; beside a CSV, X.columns.json holds them, and a second line the units with
-    `units_row`. `marked`: with the column `interpolated`, 1 for rows within a step.
+    `units_row`. `marked`: with the column `interpolated`, 1 for rows within a step. `marks`: rows go to a stream first, of which
+    `mark` tells where it is, and from which another writer goes on (`going_on`); the table is made of it on `close`.
     """
 
     def __init__(
@@ -49,14 +50,22 @@ class TableWriter:
         units_row: bool = False,
         kinds: Sequence[str] = (),
         labels: Sequence[str] = (),
+        going_on: Mapping[str, Any] | None = None,
+        marks: bool = False,
     ):
         self._target = Path(os.path.realpath(target))
         self._names, self._units, self._kinds, self._labels = list(names), list(units), list(kinds), list(labels)
         self._marked, self._units_row = marked, units_row
         self._format: Any = None
         self._partial: Path | None = None
+        self._left: Path | None = None
         #: rows taken, and the time of the last one
         self.rows, self.last = 0, 0.0
+        self._marks = marks or going_on is not None
+        if going_on is not None and going_on["partial"] is not None:
+            self.rows, self.last = going_on["rows"], going_on["last"]
+            self._partial = Path(going_on["partial"])
+            self._format = _Stream(self._partial, self._schema(), self._table, going_on["size"])
 
     def add(self, time: Array, values: Array, inside: Array) -> None:
         """Take n rows: time (n), values (n x names), whether each lies within a step (n)."""
@@ -65,14 +74,30 @@ class TableWriter:
         if self._partial is None:
             self._partial = beside(self._target)
             kinds = self._schema()
-            parquet = self._target.suffix == ".parquet"
-            self._format = _Parquet(self._partial, kinds) if parquet else _CSV(self._partial, kinds, self._units_row)
+            self._format = _Stream(self._partial, kinds, self._table) if self._marks else self._table(self._partial)
         marks = [inside.astype(np.int8)] if self._marked else []
         columns = [pa.array(c) for c in (time, *marks, *np.ascontiguousarray(values.T))]
         with self._cut_on_failure():
             self._format.add(pa.record_batch(columns, schema=self._schema()))
         self.rows += len(time)
         self.last = float(time[-1])
+
+    def _table(self, path: Path) -> _CSV | _Parquet:
+        """The table itself, by the ending of the target."""
+        kinds = self._schema()
+        return _Parquet(path, kinds) if self._target.suffix == ".parquet" else _CSV(path, kinds, self._units_row)
+
+    def mark(self) -> dict[str, Any]:
+        """Where its stream is, all rows so far on the disk; for `going_on`."""
+        size = self._format.mark() if self._partial is not None else 0
+        partial = None if self._partial is None else str(self._partial)
+        return {"partial": partial, "size": size, "rows": self.rows, "last": self.last}
+
+    def leave(self) -> None:
+        """End without a table; the stream stays, for another writer that goes on from a mark."""
+        if self._partial is not None:
+            self._format.leave()
+            self._partial = None
 
     def close(self) -> None:
         """Put the table in its place."""
@@ -81,8 +106,18 @@ class TableWriter:
                 self._format.close()
                 if self._target.suffix == ".csv":
                     write_columns(self._target, self._schema())
-                os.replace(self._partial, self._target)
+                if isinstance(self._format, _Stream):
+                    self._left = self._partial
+                    os.replace(self._format.made(), self._target)
+                else:
+                    os.replace(self._partial, self._target)
             self._partial = None
+
+    def drop(self) -> None:
+        """Remove the stream that the table was made of, which a run could go on from until then."""
+        if self._left is not None:
+            self._left.unlink(missing_ok=True)
+            self._left = None
 
     @contextmanager
     def _cut_on_failure(self) -> Iterator[None]:
@@ -131,6 +166,61 @@ class _CSV:
         if not self._file.closed:
             self._writer.close()
             self._file.close()
+
+
+class _Stream:
+    """Rows as a stream of Arrow, which can be gone on from any whole row block; made a `table` of on `close`."""
+
+    def __init__(
+        self, path: Path, schema: pa.Schema, table: Callable[[Path], _CSV | _Parquet], size: int | None = None
+    ):
+        self._path, self._table = path, table
+        self._file = open(path, "r+b" if size is not None else "wb")
+        for left in remains(path):  # tables that were not finished
+            left.unlink()
+        if size is None:
+            self._file.write(schema.serialize())
+        elif self._file.seek(0, os.SEEK_END) < size:
+            raise ValueError(f"{path} is shorter than it was at the checkpoint: {size} bytes; begin the run anew")
+        else:
+            self._file.truncate(size)
+            self._file.seek(size)
+        self._whole = self._file.tell()
+
+    def add(self, batch: pa.RecordBatch) -> None:
+        self._file.write(batch.serialize())
+        self._file.flush()
+        self._whole = self._file.tell()
+
+    def mark(self) -> int:
+        """Bytes that are on the disk."""
+        os.fsync(self._file.fileno())
+        return self._whole
+
+    def leave(self) -> None:
+        self._file.close()
+
+    def cut(self) -> bool:
+        """End with the last whole block; whether there is one."""
+        with suppress(OSError):
+            self._file.close()
+        os.truncate(self._path, self._whole)
+        return self._whole > 0
+
+    def close(self) -> None:
+        self._file.close()
+
+    def made(self) -> Path:
+        """The table of all rows, in a file of its own."""
+        import pyarrow as pa
+
+        made = beside(self._path)
+        table = self._table(made)
+        with open(self._path, "rb") as file:
+            for batch in pa.ipc.open_stream(file):
+                table.add(batch)
+        table.close()
+        return made
 
 
 class _Parquet:

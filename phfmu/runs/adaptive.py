@@ -79,6 +79,8 @@ class Control:
 class Adaptive:
     """Error-controlled steps of a `Monolithic`: |error_i| <= rtol |x_i| + atol nominal_i per step."""
 
+    CARRIED = ("other", "control")
+
     def __init__(self, stepper: Monolithic, options: Options, rtol: float):
         self.stepper = stepper
         model = stepper.model

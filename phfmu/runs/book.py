@@ -32,6 +32,8 @@ Array = NDArray[Any]
 class Book:
     """Books the steps of a stepper in a ledger and watches the hidden constraints; `tell` gets time and text of state events."""
 
+    CARRIED = ("steps", "iterations", "_worst", "_H", "least", "_least", "notes", "given_up")
+
     def __init__(self, stepper: Stepper, ledger: Ledger | Unbooked, tell: Callable[[float, str], None] | None = None):
         self.stepper, self.ledger = stepper, ledger
         self._tell = tell

@@ -30,6 +30,8 @@ NOTHING = 1e-12  # eps below this is this
 class Ecco:
     """Steps of a `Coupled`; none is rejected.  ValueError for couplings whose junctions make no energy."""
 
+    CARRIED = ("_h", "_last", "_steps", "_smallest", "_largest")
+
     def __init__(self, stepper: Stepper, options: Options, tolerance: float):
         if not isinstance(stepper, Coupled) or stepper.coupling.repeats:
             once = " or ".join(row.name for row in COUPLINGS.values() if row.apart and not row.kind.repeats)

@@ -19,7 +19,7 @@ from phfmu.outcome.limits import LIMITS, defined
 from phfmu.outcome.status import StepFailure
 from phfmu.outcome.steps import StepEvent
 from phfmu.runs.book import Book
-from phfmu.runs.march import Pace, blocks_of_goals, next_goal, pieces, step_rows
+from phfmu.runs.march import Pace, Place, blocks_of_goals, next_goal, nowhere, pieces, step_rows
 from phfmu.runs.options import Options
 from phfmu.runs.restart import Restart
 from phfmu.runs.ringing import Ringing
@@ -83,7 +83,11 @@ class EventSteps:
     With restart steps the rest of a step with an event and the `restart` steps after it are taken with damping.
     """
 
+    CARRIED = ("place", "_ringing", "_damped")
+
     def __init__(self, stepper: Monolithic | Coupled, book: Book, options: Options):
+        #: where it is, and what is called there between two blocks
+        self.place, self.between_blocks = Place(), nowhere
         _require_fit(options)
         self.stepper, self.step, self.restart = stepper, options.step, options.restart
         self._ringing = Ringing(stepper, options.step, self.restart)
@@ -96,11 +100,21 @@ class EventSteps:
 
     def over(self, stretch: Stretch, event: bool) -> Rows:
         """The rows in (start, end]; `event`: something changed at the start."""
-        changed, left = True, self.restart if event else 0
         self._ringing.changed(stretch)
-        for t, h, n in pieces(stretch.start, stretch.end, self.step):
-            first = 0
+        self.place = Place(left=self.restart if event else 0, changed=True)
+        return self.on(stretch)
+
+    def on(self, stretch: Stretch) -> Rows:
+        """The rows from its place on."""
+        begun = self.place
+        changed, left = begun.changed, begun.left
+        for piece, (t, h, n) in enumerate(pieces(stretch.start, stretch.end, self.step)):
+            if piece < begun.piece:
+                continue
+            first = begun.first if piece == begun.piece else 0
             while first < n:
+                self.place = Place(piece, first, left, changed)
+                self.between_blocks()
                 grid = Grid(t, h, self._ringing.block(min(self._pace.steps, n - first)), first)
                 if self._damped is None:
                     yield from self._booked.rows(self.stepper.land(t, h, grid.n, first, changed))
@@ -147,10 +161,14 @@ class AdaptiveEventSteps:
     step is landed whole, with all of its events, so that those that pile up come to rest.  Compiled code marches where it can.
     """
 
+    CARRIED = ("place", "_adaptive", "_march", "_damped", "_crowd")
+
     def __init__(self, stepper: Monolithic, book: Book, options: Options):
         from phfmu.runs.adaptive import Adaptive
 
         _require_fit(options)
+        #: where it is, and what is called there between two blocks
+        self.place, self.between_blocks = Place(), nowhere
         assert options.rtol is not None
         self.stepper, self.book, self.landing, self.restart = stepper, book, options.landing, options.restart
         self._booked, self._adaptive = Booked(stepper, book), Adaptive(stepper, options, options.rtol)
@@ -166,12 +184,21 @@ class AdaptiveEventSteps:
         """The rows in (start, end]; `event`: something changed at the start."""
         t, left, self._crowd = stretch.start, self.restart if event else 0, 0
         if self._march is not None:
-            self._march.begin()
+            self._march.crowd = 0
         yield from self._booked.rows(self.stepper.land(t, 0.0, 1))  # what happens at once
         left = left if self._booked.event is None else self.restart
         self._adaptive.after_event()
+        self.place = Place(t=t, left=left)
+        yield from self.on(stretch)
+
+    def on(self, stretch: Stretch) -> Rows:
+        """The rows from its place on."""
+        t, left = self.place.t, self.place.left
         for ahead in blocks_of_goals(stretch.start, stretch.end, self.landing):
             while t < ahead[-1]:
+                if self._march is None or not self._march.unfinished:
+                    self.place = Place(t=t, left=left)
+                    self.between_blocks()
                 if self._march is None or (left and self._damped is not None):
                     t = yield from self._one(t, next_goal(ahead, t), left > 0)
                     left = max(left - 1, 0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from os import PathLike
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +17,7 @@ from phfmu.network.network import Network
 from phfmu.network.scene import Event, Scene
 from phfmu.outcome.status import EndRequested, StepFailure
 from phfmu.runs.book import Book
+from phfmu.runs.checkpoints import Carriers, require_continued
 from phfmu.runs.event_steps import AdaptiveEventSteps, EventSteps
 from phfmu.runs.following import following
 from phfmu.runs.march import AdaptiveSteps, FixedSteps, step_rows
@@ -59,12 +61,29 @@ def _run(stepper: Stepper, options: Options, events: Callable[..., Iterator[Even
     book, rows = Book(stepper, ledger, options.happened), Rows(options)
     march = _march(stepper, book, options)
     before, projection = stepper.rest_changes(), None
+    carriers, found = Carriers(stepper=stepper, book=book, ledger=ledger, rows=rows, columns=told, march=march), None
+    if (kept := options.checkpoints) is not None:
+        require_continued(stepper)
+        march.between_blocks, found = partial(kept.between_blocks, carriers.now), kept.found
     t0, stop, close = options.t0, options.stop, 1e-9 * options.step
     try:
         with dense_rows(stepper, options.dense):
-            for stretch in stretches(lambda: segments(t0, stop, events(), close), options.step, march.takes_inputs):
+            grid = stretches(lambda: segments(t0, stop, events(), close), options.step, march.takes_inputs)
+            for carriers.stretch, stretch in enumerate(grid):
+                if found is not None and carriers.stretch < found["stretch"]:
+                    continue
+                if found is not None and carriers.stretch == found["stretch"]:
+                    carriers.start = projection, before = found["start"]
+                    carriers.take("stepper", found)
+                    told.begin(stretch)
+                    for name in ("book", "ledger", "rows", "columns", "march"):
+                        carriers.take(name, found)
+                    for time, values, inside in march.on(stretch):
+                        rows.take(time, told.rows(time, values), inside)
+                    continue
                 if stretch.start == t0:
                     projection = _begin(stepper, book, options, stretch.events, stretch.end)
+                    carriers.start = projection, before
                     told.begin(stretch)
                     start = np.array([t0])
                     rows.take(start, told.rows(start, stepper.read()[None], after=True), np.zeros(1, bool))

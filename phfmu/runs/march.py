@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import islice
 from time import perf_counter
@@ -75,6 +76,25 @@ def next_goal(ahead: Array, t: float) -> float:
     return float(ahead[np.searchsorted(ahead, t, side="right")])
 
 
+@dataclass(frozen=True)
+class Place:
+    """Where a march is in a stretch, between two blocks of rows: the next step is `first` of the grid number `piece`, or starts
+    at the time t (s) where steps have any length.
+
+    left: damped steps that are still to be taken;  changed: something was set since the last step
+    """
+
+    piece: int = 0
+    first: int = 0
+    left: int = 0
+    changed: bool = False
+    t: float = 0.0
+
+
+def nowhere() -> None:
+    """Nobody wants to know that a march is between two blocks."""
+
+
 class Pace:
     """How many steps to take before their rows are handed over, from the wall time that steps took."""
 
@@ -97,7 +117,11 @@ class Pace:
 class FixedSteps:
     """Equal steps; the first `restart` ones after an event with damping, also after one inside the step of a member."""
 
+    CARRIED = ("place", "_cut", "_longest", "_happened", "_damped", "_ringing")
+
     def __init__(self, stepper: Stepper, book: Book, options: Options):
+        #: where it is, and what is called there between two blocks
+        self.place, self.between_blocks = Place(), nowhere
         self.stepper, self.book, self.step, self.restart = stepper, book, options.step, options.restart
         self._damped = Restart(stepper) if self.restart else None
         self._alone = self._damped is not None and self._damped.events_inside
@@ -113,18 +137,29 @@ class FixedSteps:
 
     def over(self, stretch: Stretch, event: bool) -> Rows:
         """The rows in (start, end]; `event`: something changed at the start."""
-        left = self.restart if event else 0
         self._ringing.changed(stretch)
-        for t, h, n in pieces(stretch.start, stretch.end, self.step):
-            if h < self.step * (1 - 1e-9):
-                self._cut.append(h)
-            first = 0
+        self.place = Place(left=self.restart if event else 0)
+        return self.on(stretch)
+
+    def on(self, stretch: Stretch) -> Rows:
+        """The rows from its place on."""
+        begun = self.place
+        stretch.inputs.within(begun.first, 0)  # those before are read past
+        for piece, (t, h, n) in enumerate(pieces(stretch.start, stretch.end, self.step)):
+            if piece < begun.piece:
+                continue
+            first, left = (begun.first, begun.left) if piece == begun.piece else (0, self.place.left)
             while first < n:
+                self.place = Place(piece, first, left)
+                self.between_blocks()
+                if h < self.step * (1 - 1e-9) and not first:
+                    self._cut.append(h)
                 damped = left > 0 and self._damped is not None
                 count = 1 if damped or self._alone else self._ringing.block(min(self._pace.steps, n - first))
                 inputs = stretch.inputs.within(first, count)
                 yield from self._booked(t, h, first, count, damped, inputs)
                 first, left = first + count, self.restart if self._happened else max(left - 1, 0)
+                self.place = Place(piece, first, left)
                 self._pace.handed_over(count)
 
     def facts(self) -> dict[str, Any]:
@@ -174,7 +209,11 @@ class FixedSteps:
 class AdaptiveSteps:
     """Steps that keep a tolerance; multiples of `landing` after each event are landed on."""
 
+    CARRIED = ("place", "adaptive", "_restarted", "_wanted")
+
     def __init__(self, stepper: Stepper, book: Book, options: Options):
+        #: where it is, and what is called there between two blocks
+        self.place, self.between_blocks = Place(), nowhere
         self.book, self.restart, self.landing = book, options.restart, options.landing
         self.adaptive = _sized(stepper, options)
         self._restarted, self._wanted = 0, 0
@@ -186,12 +225,20 @@ class AdaptiveSteps:
 
     def over(self, stretch: Stretch, event: bool) -> Rows:
         """The rows in (start, end]; `event`: something changed at the start."""
-        start, end = stretch.start, stretch.end
         self.adaptive.after_event()
-        times, rows, left = [start], [], self.restart if event else 0
+        self.place = Place(t=stretch.start, left=self.restart if event else 0)
+        return self.on(stretch)
+
+    def on(self, stretch: Stretch) -> Rows:
+        """The rows from its place on."""
+        start, end = stretch.start, stretch.end
+        times, rows, left = [self.place.t], [], self.place.left
         try:
             for ahead in blocks_of_goals(start, end, self.landing):
                 while times[-1] < ahead[-1]:
+                    if not rows:
+                        self.place = Place(t=times[-1], left=left)
+                        self.between_blocks()
                     ends, steps, failure = self._taken(times[-1], ahead, left > 0, self._pace.steps - len(times) + 1)
                     left = max(left - 1, 0)
                     times += ends

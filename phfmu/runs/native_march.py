@@ -84,6 +84,8 @@ class Marched:
 class NativeMarch:
     """The march of an `Adaptive` whose instances are native; `pauses`: steps with guards are handed over after each event."""
 
+    CARRIED = ("crowd",)
+
     def __init__(self, adaptive: Controlled, pauses: bool = False):
         self._adaptive, memory = adaptive, Structures(HEADER)
         self._memory, self._lib = memory, _library()
@@ -165,9 +167,19 @@ class NativeMarch:
         """Where it is: the end of the last accepted step."""
         return float(self._march.t)
 
-    def begin(self) -> None:
-        """Steps that ended on events before are not counted."""
-        self._march.crowd = 0
+    @property
+    def crowd(self) -> int:
+        """Spans in a row that ended on events."""
+        return int(self._march.crowd)
+
+    @crowd.setter
+    def crowd(self, value: int) -> None:
+        self._march.crowd = value
+
+    @property
+    def unfinished(self) -> bool:
+        """Whether a span with its events goes on in the next call."""
+        return bool(self._march.unfinished)
 
     def _called(self, t: float, call: Any) -> int:
         """The answer of a function of march.h from t on, with the controller handed over and back."""

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from phfmu.network.scene import Event
+    from phfmu.runs.checkpoints import Checkpoints
 
 #: most rows within a step, which are in memory together
 DENSEST = 10_000
@@ -40,6 +41,7 @@ class Options:
     keep:  receives (time, values, whether a row lies within a step) blocks instead of collecting them; also those
         accepted before a failure
     happened:  called with time and message of each state event as it is booked
+    checkpoints:  keeps where the run is between blocks, and where one that was ended goes on; see `checkpoints.py`
     progress:  called with the time after each block; a KeyboardInterrupt from it ends the run there
     Errors: ValueError for what is out of range or does not go together.
     """
@@ -67,6 +69,7 @@ class Options:
     keep: Keep | None = None
     happened: Callable[[float, str], None] | None = None
     progress: Callable[[float], None] | None = None
+    checkpoints: Checkpoints | None = None
 
     @property
     def adaptive(self) -> bool:

@@ -34,6 +34,8 @@ class Restart:
     DeclarationError, or ValueError with the remedies, if they do not fit.
     """
 
+    CARRIED = ("instance", "asked", "refused")
+
     def __init__(self, stepper: Stepper, k: int = 2, companion: Any = None):
         self.stepper: Any = fitting(stepper)
         self.instance = self.stepper.companion(Radau(k)) if companion is None else companion

@@ -49,6 +49,8 @@ class Ringing:
     numbers only.
     """
 
+    CARRIED = ("_told", "_guarded", "_seen", "_event", "left", "_rows", "_windows", "_lines", "_more")
+
     def __init__(self, stepper: Stepper, h: float, damped: int):
         self._stepper, self._h, self._damped, self._told = stepper, h, damped, False
         self._watched = _watched(stepper)

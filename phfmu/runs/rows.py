@@ -30,6 +30,8 @@ MOST = 2**62
 class Rows:
     """Rows by blocks: given to `options.keep`, or kept here; `last`: the time of the last one (s)."""
 
+    CARRIED = ("_seen", "_place", "_left_out", "_blocks", "last")
+
     def __init__(self, options: Options):
         self._keep, self._progress = options.keep, options.progress
         self._t0, self._every, self._seen = options.t0, options.every, 0
@@ -89,6 +91,8 @@ class RunColumns:
     that is interpolated stands there with its value at that time, before a jump.
     Errors: ValueError for a pattern that means no column.
     """
+
+    CARRIED = ("_now",)
 
     def __init__(self, stepper: Stepper, patterns: Sequence[str] = (), step: float = 1.0):
         self._stepper, self._step = stepper, step

@@ -39,8 +39,8 @@ class AuditWriter:
 
     Use as a context manager: on an exception the log is closed and compacted all the same. `metadata` are
     free keys (units per port, model hash, options); values that are not strings are kept as JSON. `table`: the result table
-    of the same run, about whose remains `recover` tells. From the start the stream is a readable log, and locked until
-    `close`.
+    of the same run, about whose remains `recover` tells; `going_on`: what `mark` told of a stream that was left. From the
+    start the stream is a readable log, and locked until `close`.
     Errors: ValueError for an ending other than .parquet; LogInUse if another run writes the log; FileExistsError if a
     broken run's stream is there.
     """
@@ -50,6 +50,7 @@ class AuditWriter:
         path: str | os.PathLike[str],
         metadata: Mapping[str, Any] | None = None,
         table: str | os.PathLike[str] | None = None,
+        going_on: Mapping[str, Any] | None = None,
     ) -> None:
         import pyarrow as pa
 
@@ -65,13 +66,20 @@ class AuditWriter:
         self.rows = 0
         self._flushed_at = time.monotonic()
         self._schema = _schema(metadata or {}, table)
-        self._file: Any = _created(self.stream)
+        self._file: Any = _created(self.stream) if going_on is None else _again(self.stream, going_on["size"])
         options = pa.ipc.IpcWriteOptions(compression="lz4", emit_dictionary_deltas=True)
         self._bytes, self._blocks = io.BytesIO(), 0
         #: by column, names that were known at the start of the block before, and of this one
         self._told = [dict.fromkeys(self._codes, 0)] * 2
         self._writer = pa.ipc.new_stream(self._bytes, self._schema, options=options)
-        self._put([])
+        if going_on is None:
+            self._put([])
+            return
+        self._codes, self._told = going_on["codes"], going_on["told"]
+        self._blocks, self.rows = going_on["blocks"], going_on["rows"]
+        self._writer.write_batch(self._batch([]))  # the stream has the schema and these names
+        self._bytes.seek(0)
+        self._bytes.truncate()
 
     def __enter__(self) -> Self:
         return self
@@ -107,8 +115,8 @@ class AuditWriter:
         sections, self._sections, self._events, self._pending = self._sections, [], [], 0
         self._put(sections)
 
-    def close(self) -> Path:
-        """Flush, compact to Parquet, remove the stream and return the Parquet path; again is harmless.
+    def close(self, keep: bool = False) -> Path:
+        """Flush, compact to Parquet, remove the stream (`keep`: by `drop`) and return the Parquet path; again is harmless.
 
         Errors: OSError, e.g. of a full disk, or where the stream does not hold what was written; it is kept then and
         `recover` gives its complete batches.
@@ -129,8 +137,26 @@ class AuditWriter:
                     f"`phfmu audit recover {self.stream}`"
                 ) from error
             self._release()
-            self.stream.unlink()
+            if not keep:
+                self.drop()
         return self.path
+
+    def drop(self) -> None:
+        """Remove the stream of a log that is closed, which a run could go on from until then."""
+        self.stream.unlink(missing_ok=True)
+
+    def mark(self) -> dict[str, Any]:
+        """Where the stream is, all rows so far on the disk; for `going_on`."""
+        self.flush()
+        os.fsync(self._file.fileno())
+        return {
+            "size": self._file.tell(), "codes": self._codes, "told": self._told, "blocks": self._blocks, "rows": self.rows
+        }  # fmt: skip
+
+    def leave(self) -> None:
+        """End without a table; the stream stays, for another writer that goes on from a mark."""
+        if self._file is not None:
+            self._release()
 
     def discard(self) -> None:
         """End without a log, as if none had been begun; what was at its path before stays."""
@@ -213,6 +239,24 @@ def _created(path: Path) -> BinaryIO:
     while not try_lock(fd, str(path)):
         time.sleep(0.01)  # somebody looks at it in this moment
     return open(fd, "wb")
+
+
+def _again(path: Path, size: int) -> BinaryIO:
+    """The file of a run that was ended, under a lock, up to where it was at a mark."""
+    try:
+        fd = os.open(path, os.O_RDWR | getattr(os, "O_BINARY", 0))
+    except FileNotFoundError:
+        raise ValueError(f"{path}, the audit of the run, is not there any more; begin the run anew") from None
+    if not try_lock(fd, str(path)):
+        os.close(fd)
+        raise occupied(path)
+    file = open(fd, "r+b")
+    if file.seek(0, os.SEEK_END) < size:
+        file.close()
+        raise ValueError(f"{path} is shorter than it was at the checkpoint: {size} bytes; begin the run anew")
+    file.truncate(size)
+    file.seek(size)
+    return file
 
 
 def _joined(column: str, sections: list[Section], n: int) -> tuple[Any, Any]:

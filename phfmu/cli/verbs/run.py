@@ -61,6 +61,11 @@ def add_parser(verbs: Any) -> None:
     parser.add_argument("--accuracy", action="store_true",
                         help="run again with half the step and tell by how much each signal changes, and the error of this "
                         "run that follows")  # fmt: skip
+    parser.add_argument("--checkpoint", type=float, metavar="SECONDS",
+                        help="keep where the run is this often, in X.checkpoint beside -o or --audit; one composed "
+                        "model")  # fmt: skip
+    parser.add_argument("--resume", metavar="FILE",
+                        help="go on from a checkpoint of the same command line, to the same bits")  # fmt: skip
     parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
     parser.set_defaults(call=call)
 
@@ -99,6 +104,7 @@ def call(args: argparse.Namespace) -> int:
     from phfmu.audit import audit_table
     from phfmu.audit.sheet_names import ROWS
     from phfmu.cli import accuracy, options
+    from phfmu.cli.checkpoints import Checkpoints
     from phfmu.cli.codes import FINE, LEDGER
     from phfmu.cli.job import job_of
     from phfmu.cli.outputs import Outputs
@@ -111,7 +117,8 @@ def call(args: argparse.Namespace) -> int:
     from phfmu.target import is_fmu
 
     accuracy.require_fit(args)
-    outputs, job = Outputs(args), job_of(args)
+    checkpoints = Checkpoints(args)
+    outputs, job = Outputs(args, checkpoints), job_of(args)
     chosen, scene, label = options.of_run(args, job.scene, whole=job.whole), job.scene, job.label
     stepper = job.build()
     events, rows, dropped = timeline(args, scene, stepper.settable())
@@ -119,6 +126,9 @@ def call(args: argparse.Namespace) -> int:
     if args.sensitivity and signals:
         signals += (derivative_name("*", "*"),)
     chosen = replace(chosen, events=events, signals=signals, every=_every(args.every))
+    if checkpoints.asked:
+        chosen = replace(chosen, checkpoints=checkpoints)
+        checkpoints.begin(stepper, chosen, outputs.marks)
     changes = [e for e in (*events, *_of_parameters(stepper, rows)) if e.t < chosen.stop]
     if changes and not is_fmu(args.target):
         require_sound_scene(args, scene, changes)

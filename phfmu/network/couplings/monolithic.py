@@ -55,6 +55,7 @@ class Monolithic:
     """One instance (Python or native) that is the whole system."""
 
     what, instead = "one composed model", ""
+    CARRIED = ("instance", "_inputs", "booking", "unknowns_told")
 
     def __init__(self, model: Model, instance: Any):
         self.model, self.instance = model, instance

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 class Inputs:
     """Named parameters and inputs of one instance, set one at a time."""
 
+    CARRIED: ClassVar = ("u",)
     instance: Any
     model: Model
     parameters: dict[str, int] = field(init=False)

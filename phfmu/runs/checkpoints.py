@@ -1,0 +1,50 @@
+"""Checkpoints: where a run is between two blocks of steps, and how another process goes on from there to the same bits.
+
+Steps do not depend on how they are cut into blocks, which is a matter of wall time, so that a run that goes on between two blocks
+takes the steps of one that was never ended.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any, Protocol, cast
+
+from phfmu.runs.carried import carried, carry
+
+if TYPE_CHECKING:
+    from phfmu.network.couplings.stepper import Stepper
+
+
+class Checkpoints(Protocol):
+    """Keeps what `Carriers.now` gives; `found`: what a run that was ended has left, None for one that begins."""
+
+    found: Mapping[str, Any] | None
+
+    def between_blocks(self, now: Callable[[], dict[str, Any]]) -> None:
+        """Called between blocks of steps."""
+        ...
+
+
+class Carriers:
+    """All in a run that carries something from block to block, by name, and the number of the stretch under way."""
+
+    def __init__(self, **parts: Any):
+        self._parts = parts
+        #: number of the stretch, from 0;  what the start left: how it was projected, changes of constraints before it
+        self.stretch, self.start = 0, cast("Any", None)
+
+    def now(self) -> dict[str, Any]:
+        """What they carry."""
+        return {"stretch": self.stretch, "start": self.start, **{n: carried(part) for n, part in self._parts.items()}}
+
+    def take(self, name: str, found: Mapping[str, Any]) -> None:
+        """One of them goes on from what was found."""
+        carry(self._parts[name], found[name])
+
+
+def require_continued(stepper: Stepper) -> None:
+    """ValueError for a stepper whose state cannot be kept in a file."""
+    if not hasattr(type(stepper), "CARRIED"):
+        raise ValueError(
+            f"--checkpoint is for one composed model, here it is {stepper.what}; {stepper.instead}, or leave it out"
+        )

@@ -1,0 +1,130 @@
+"""A run that is killed at any time goes on from its checkpoint to the bits of one that was not; other runs are refused."""
+
+from __future__ import annotations
+
+import random
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from phfmu.audit.difference import first_differences
+from phfmu.audit.log.archive import read
+from tests.cli.commands import Cli
+
+#: equal steps; state events and damping; steps within a tolerance; the same with events; switches; interpreted in Python
+RUNS = {
+    "equal": ("pendulum", "--stop", "3000"),
+    "constraints": ("four_particle", "--stop", "150", "--order", "6"),
+    "events": ("bouncing_ball", "--stop", "20", "--step", "0.0002"),
+    "damped": ("buffer", "--stop", "800", "--restart", "2"),
+    "tolerance": ("drive", "--stop", "40", "--rtol", "1e-6"),
+    "events within a tolerance": ("buffer", "--stop", "60", "--rtol", "1e-6"),
+    "switches": ("buck", "--stop", "0.02"),
+    "thinned": ("pendulum", "--stop", "3000", "--every", "7"),
+}
+
+
+def command(folder: Path, run: tuple[str, ...], table: str, *more: str) -> list[str]:
+    files = ("-o", str(folder / table), "--audit", str(folder / "a.parquet"), "--quiet")
+    return [sys.executable, "-m", "phfmu", "run", *run, *files, *more]
+
+
+def killed(folder: Path, run: tuple[str, ...], table: str, chance: random.Random, kills: int) -> int:
+    """Runs to the end, killed `kills` times at random after a checkpoint; how often it went on."""
+    checkpoint, resumed, going_on = folder / Path(table).with_suffix(".checkpoint"), 0, list[str]()
+    for kill in range(kills + 1):
+        process = subprocess.Popen(command(folder, run, table, "--checkpoint", "0", *going_on), stderr=subprocess.PIPE)
+        begun = checkpoint.stat().st_mtime_ns if checkpoint.exists() else 0
+        while process.poll() is None and kill < kills:
+            if checkpoint.exists() and checkpoint.stat().st_mtime_ns > begun:
+                time.sleep(chance.uniform(0.0, 0.3))
+                process.kill()
+                break
+            time.sleep(0.005)
+        _, error = process.communicate()
+        if process.returncode == 0:
+            return resumed
+        assert process.returncode == -9, error
+        going_on, resumed = ["--resume", str(checkpoint)], resumed + 1
+        if not checkpoint.exists():  # killed when all was in its place but the streams
+            return resumed
+    return resumed
+
+
+def require_equal(was: Path, now: Path, table: str) -> None:
+    assert (was / table).read_bytes() == (now / table).read_bytes()
+    assert first_differences(read(was / "a.parquet"), read(now / "a.parquet")) == []
+    assert not (now / table).with_suffix(".checkpoint").exists()
+
+
+@pytest.mark.parametrize("name", RUNS)
+def test_a_killed_run_goes_on_to_the_same_bits(name: str, tmp_path: Path) -> None:
+    """Each kind of march, killed twice at random, with the table as CSV or Parquet."""
+    run, table = RUNS[name], "t.parquet" if name == "equal" else "t.csv"
+    was, now = tmp_path / "was", tmp_path / "now"
+    was.mkdir(), now.mkdir()
+    subprocess.run(command(was, run, table), check=True)
+    assert killed(now, run, table, random.Random(name), 2) > 0
+    require_equal(was, now, table)
+
+
+@pytest.mark.slow
+def test_a_hundred_kills_at_random(tmp_path: Path) -> None:
+    chance, done, was = random.Random(1), 0, tmp_path / "was"
+    was.mkdir()
+    run = ("buffer", "--stop", "4000", "--restart", "2")
+    subprocess.run(command(was, run, "t.csv"), check=True)
+    while done < 100:
+        now = tmp_path / f"now{done}"
+        now.mkdir()
+        done += killed(now, run, "t.csv", chance, 5)
+        require_equal(was, now, "t.csv")
+
+
+@pytest.fixture
+def checkpoint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    """Of a run in the present folder that was killed."""
+    monkeypatch.chdir(tmp_path)
+    process = subprocess.Popen(command(Path(), RUNS["equal"], "t.csv", "--checkpoint", "0"))
+    while process.poll() is None and not Path("t.checkpoint").exists():
+        time.sleep(0.005)
+    process.kill()
+    process.wait()
+    return "t.checkpoint"
+
+
+def test_another_run_is_refused_with_what_differs(checkpoint: str, cli: Cli) -> None:
+    before = {p.name: p.read_bytes() for p in Path().iterdir()}
+    files = ("-o", "t.csv", "--audit", "a.parquet", "--resume", checkpoint)
+    code, _, err = cli("run", "pendulum", "--stop", "3000", "--order", "4", *files)
+    assert code == 2
+    assert "--order was None, is 4" in err
+    code, _, err = cli("run", "four_particle", "--stop", "3000", *files)
+    assert code == 2
+    assert "--target was 'pendulum', is 'four_particle'" in err
+    assert {p.name: p.read_bytes() for p in Path().iterdir()} == before
+
+
+def test_a_damaged_checkpoint_is_refused(checkpoint: str, cli: Cli) -> None:
+    data = bytearray(Path(checkpoint).read_bytes())
+    data[-100] ^= 1
+    Path(checkpoint).write_bytes(data)
+    code, _, err = cli(
+        "run", "pendulum", "--stop", "3000", "-o", "t.csv", "--audit", "a.parquet", "--resume", checkpoint
+    )
+    assert code == 2
+    assert "is damaged" in err
+
+
+def test_what_has_no_checkpoints_is_refused_before_the_first_step(cli: Cli, tmp_path: Path) -> None:
+    for more, words in (
+        (("two_machine", "--coupling", "newton"), "members stepped apart"),
+        (("pendulum", "--plot", str(tmp_path / "p.png")), "--plot is not kept"),
+        (("pendulum", "--checkpoint", "-1"), "--checkpoint -1 s"),
+    ):
+        code, _, err = cli("run", "--checkpoint", "1", *more)
+        assert code == 2
+        assert words in err
