@@ -54,17 +54,39 @@ class JointRead:
     neutral: float = 0.0
     armature: float = 0.0
     motor: bool = False
+    limits: LimitsRead | None = None
+
+
+@dataclass(frozen=True)
+class LimitsRead:
+    """Ends of a coordinate [rad, m], that throw back with a restitution [1]."""
+
+    lower: float
+    upper: float
+    restitution: float
+
+
+@dataclass(frozen=True)
+class GearRead:
+    """An equality of two joints by their numbers: rate of b = ratio times rate of a."""
+
+    name: str
+    a: int
+    b: int
+    ratio: float
 
 
 @dataclass(frozen=True)
 class MechanismRead:
-    """gravity [m/s2];  lost: what was left out because it was to be dropped."""
+    """gravity [m/s2];  lost: what was left out because it was to be dropped;  assumed: what the file says otherwise."""
 
     name: str
     gravity: tuple[float, ...]
     bodies: tuple[BodyRead, ...]
     joints: tuple[JointRead, ...]
+    gears: tuple[GearRead, ...]
     lost: tuple[str, ...]
+    assumed: tuple[str, ...]
 
 
 def read_mechanism(
@@ -129,9 +151,9 @@ def _found(m: Any, mujoco: Any) -> list[tuple[str, str]]:
     rough = np.flatnonzero(m.dof_frictionloss > 0)
     if len(rough):
         found.append(("friction", f"dry friction of {named(rough)}"))
-    limited = [m.joint(j).name or f"joint {j}" for j in range(m.njnt) if m.jnt_limited[j]]
-    if limited:
-        found.append(("limits", f"limits of {', '.join(limited)}"))
+    limited = [m.joint(j).name or f"joint {j}" for j in range(m.njnt) if m.jnt_limited[j] and m.jnt_type[j] <= 1]
+    if limited and not _off(m, mujoco, "LIMIT"):
+        found.append(("limits", f"limits of the ball joints {', '.join(limited)}"))
     colliding = int(np.sum((m.geom_contype > 0) | (m.geom_conaffinity > 0)))
     if colliding:
         found.append(("contacts", f"contacts of {colliding} geometries"))
@@ -153,11 +175,54 @@ def _found(m: Any, mujoco: Any) -> list[tuple[str, str]]:
         plain = plain and m.actuator_biastype[i] == mujoco.mjtBias.mjBIAS_NONE
         if not plain:
             found.append(("actuators", f"the actuator {m.actuator(i).name or i}, which is no motor on a joint"))
-    kinds = (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD)
-    found += [
-        ("", f"the equality {mujoco.mjtEq(m.eq_type[e]).name}") for e in range(m.neq) if m.eq_type[e] not in kinds
+    return found + [
+        ("", f"{_equality(m, e)}, which {why}") for e in _active(m, mujoco) if (why := _no_loop(m, mujoco, e))
     ]
-    return found
+
+
+def _off(m: Any, mujoco: Any, flag: str) -> bool:
+    """The file disables constraints, or those of a kind."""
+    kinds = mujoco.mjtDisableBit
+    return bool(m.opt.disableflags & (int(kinds.mjDSBL_CONSTRAINT) | int(getattr(kinds, f"mjDSBL_{flag}"))))
+
+
+def _active(m: Any, mujoco: Any) -> list[int]:
+    """Equalities that hold at the start."""
+    return [] if _off(m, mujoco, "EQUALITY") else [e for e in range(m.neq) if m.eq_active0[e]]
+
+
+def _equality(m: Any, e: int) -> str:
+    return f"the equality {m.equality(e).name or e}"
+
+
+def _no_loop(m: Any, mujoco: Any, e: int) -> str:
+    """Why an equality is none that joints and gears can keep, or ""."""
+    kinds, kind = mujoco.mjtEq, m.eq_type[e]
+    if kind == kinds.mjEQ_JOINT:
+        if m.eq_obj2id[e] >= 0 and np.any(m.eq_data[e][2:5]):
+            return f"is a polynomial of the coordinate, {m.eq_data[e][:5].tolist()}"
+        ends = [j for j in (int(m.eq_obj1id[e]), int(m.eq_obj2id[e])) if j >= 0]
+        return "is of a ball or free joint" if any(m.jnt_type[j] <= 1 for j in ends) else ""
+    if kind not in (kinds.mjEQ_CONNECT, kinds.mjEQ_WELD):
+        return f"is of the kind {kinds(kind).name}"
+    return "" if m.eq_objtype[e] == mujoco.mjtObj.mjOBJ_BODY else "is between sites, not bodies"
+
+
+def restitution_of(solref: np.ndarray) -> float:
+    """Ratio of the speeds after and before a short impact on MuJoCo's spring and damper of a limit, r'' + b r' + k r = 0.
+
+        z = b/(2 sqrt k),   exp(-2 z/s atan2(s, z)),  s = sqrt(1 - z^2);   z > 1: exp(-2 z/s atanh(s/z)),  s = sqrt(z^2 - 1)
+
+    It pushes and never pulls, so that it lets go where r'' = 0.
+
+    solref:  (time constant [s], damping ratio z), or (-k, -b)
+    Source:  T. Schwager, T. Poeschel, Phys. Rev. E 78 (2008), 051304;  MuJoCo's documentation of solver parameters
+    """
+    z = float(solref[1]) if solref[0] > 0 else float(-solref[1] / (2 * np.sqrt(-solref[0])))
+    s = float(np.sqrt(abs(1 - z * z)))
+    if s < 1e-8:
+        return float(np.exp(-2.0))
+    return float(np.exp(-2 * z / s * (np.arctan2(s, z) if z < 1 else np.arctanh(s / z))))
 
 
 def _damping(m: Any) -> np.ndarray:
@@ -172,6 +237,9 @@ class _Reader:
     def __init__(self, model: Any, data: Any, mujoco: Any, dropped: set[str]):
         self.m, self.d, self.mujoco, self.dropped = model, data, mujoco, dropped
         self.roots = sorted({int(x) for x in model.body_weldid} - {0})
+        self.assumed: list[str] = []
+        #: the number in `joints` of each of MuJoCo's
+        self.joint_number: dict[int, int] = {}
         self.number = {0: -1} | {root: i for i, root in enumerate(self.roots)}
 
     def read(self, lost: tuple[str, ...]) -> MechanismRead:
@@ -179,9 +247,20 @@ class _Reader:
         joints: list[JointRead] = []
         for root in self.roots:
             self.joints(root, bodies, joints)
-        joints += [self.loop(e) for e in range(self.m.neq)]
+        gears: list[GearRead] = []
+        self.open()
+        for e in _active(self.m, self.mujoco):
+            if self.m.eq_type[e] == self.mujoco.mjtEq.mjEQ_JOINT:
+                self.gear(e, joints, gears)
+            else:
+                joints.append(self.loop(e))
         name = str(self.m.names.split(b"\0")[0].decode() or "mechanism").replace(" ", "_")
-        return MechanismRead(name, tuple(map(float, self.m.opt.gravity)), tuple(bodies), tuple(joints), lost)
+        return MechanismRead(
+            name, self.gravity(), tuple(bodies), tuple(joints), tuple(gears), lost, tuple(self.assumed)
+        )
+
+    def gravity(self) -> tuple[float, ...]:
+        return tuple(map(float, self.m.opt.gravity))
 
     def body(self, root: int) -> BodyRead:
         m, d = self.m, self.d
@@ -219,6 +298,7 @@ class _Reader:
                     JointRead("spherical", m.joint(i).name or f"joint{i}", last, end, at, np.array((0.0, 0, 1)))
                 )
             else:
+                self.joint_number[i] = len(joints)
                 joints.append(self.single(i, last, end, at, axis))
             last = end
 
@@ -237,8 +317,45 @@ class _Reader:
             damping=kept("damping", _damping(m)[dof, 0]), armature=kept("armature", m.dof_armature[dof]),
             stiffness=kept("springs", np.ravel(m.jnt_stiffness[i])[0]),
             coordinate=float(self.d.qpos[address]), neutral=float(m.qpos_spring[address]),
-            motor=bool(motors) and "actuators" not in self.dropped,
+            motor=bool(motors) and "actuators" not in self.dropped, limits=self.limits(i),
         )  # fmt: skip
+
+    def limits(self, i: int) -> LimitsRead | None:
+        """Hard ends, where MuJoCo has a spring and a damper per unit of inertia."""
+        m = self.m
+        if not m.jnt_limited[i] or "limits" in self.dropped or _off(m, self.mujoco, "LIMIT"):
+            return None
+        (lower, upper), margin, solref = map(float, m.jnt_range[i]), float(m.jnt_margin[i]), m.jnt_solref[i]
+        back = restitution_of(solref)
+        text = f"time constant {solref[0]:g} s" if solref[0] > 0 else f"stiffness {-solref[0]:g} 1/s2"
+        self.assumed.append(
+            f"the limits of {m.joint(i).name or f'joint {i}'} are hard and throw back with a restitution of {back:.4g}, "
+            f"in place of MuJoCo's {text}"
+        )
+        return LimitsRead(lower + margin, upper - margin, back)
+
+    def open(self) -> None:
+        """ValueError for an equality that does not hold at the start."""
+        m, d = self.m, self.d
+        equal = d.efc_type == self.mujoco.mjtConstraint.mjCNSTR_EQUALITY
+        for e in _active(m, self.mujoco):
+            gap = float(np.max(np.abs(d.efc_pos[equal & (d.efc_id == e)]), initial=0.0))
+            if gap > 1e-6:
+                raise ValueError(
+                    f"{_equality(m, e)} misses by {gap:.6g} (m or rad) at the start; give `qpos` where it holds"
+                )
+
+    def gear(self, e: int, joints: list[JointRead], gears: list[GearRead]) -> None:
+        """An equality of the coordinates of two joints, or one that holds a joint where it is."""
+        m, one, two = self.m, int(self.m.eq_obj1id[e]), int(self.m.eq_obj2id[e])
+        ratio, name = float(m.eq_data[e][1]), m.equality(e).name or f"equality{e}"
+        b = self.joint_number[one]
+        if two >= 0 and ratio:
+            gears.append(GearRead(name, self.joint_number[two], b, ratio))
+            return
+        held = joints[b]
+        joints[b] = JointRead("fixed", held.name, held.a, held.b, held.at, held.axis)
+        self.assumed.append(f"{held.name} is fixed by {_equality(m, e)}, and what it carries is left out")
 
     def loop(self, e: int) -> JointRead:
         """An equality that connects or welds two bodies."""

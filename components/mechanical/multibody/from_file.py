@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import astuple
 from pathlib import Path
 
 from phfmu.components.mechanical.multibody.assembly import project
 from phfmu.components.mechanical.multibody.body import rotation_about
+from phfmu.components.mechanical.multibody.contact import Compliance, Limits
+from phfmu.components.mechanical.multibody.joint import Joint
 from phfmu.components.mechanical.multibody.mechanism import Mechanism
 
 
@@ -16,15 +19,21 @@ def mechanism_of_file(
     drop: Iterable[str] = (),
     qpos: Sequence[float] | None = None,
     qvel: Sequence[float] | None = None,
+    compliance: Compliance | None = None,
 ) -> Mechanism:
     """The mechanism of an MJCF or URDF file, at its reference pose or at MuJoCo's `qpos` with `qvel`.
 
     Bodies with what is welded to them, hinge, slide, ball and free joints, their damping, springs and armature, equalities that
-    connect or weld (exact here), motors on joints as ports named after the joint.  Parts keep their names, with `_` for
-    spaces, and joints their coordinates.
+    connect or weld (exact here), limits, equalities of two joints as gears, motors on joints as ports named after the joint.
+    Parts keep their names, with `_` for spaces, and joints their coordinates; `Mechanism.assumed` has what was read otherwise.
+
+    Limits of hinges and sliders are hard, as files of robots mean them: MuJoCo's ends give way by a stiffness and a damping per
+    unit of inertia, an impact on which has, as it gets short, the restitution that theirs have here.
 
     drop:    what is left out: actuators, armature, contacts, damping, friction, limits, springs
-    Errors:  ValueError lists all that cannot be kept: tendons, limits, contacts, dry friction, other actuators ..
+    compliance: ends of joints that give way, and may hold, in place of hard ones
+    Errors:  ValueError lists all that cannot be kept: tendons, contacts, dry friction, other actuators ..; or names an equality
+             that does not hold at the start
     Needs:   the extra `mechanism` (MuJoCo)
     """
     from phfmu.importers.mechanism import read_mechanism
@@ -44,6 +53,7 @@ def mechanism_of_file(
         )
         for b in read.bodies
     ]
+    joints: list[Joint] = []
     for j in read.joints:
         a, b = (bodies[i] if i >= 0 else None for i in (j.a, j.b))
         joint = m.joint(
@@ -58,12 +68,17 @@ def mechanism_of_file(
             neutral=j.neutral,
             armature=j.armature,
             motor="effort" if j.motor else "",
+            limits=None if j.limits is None else Limits(*astuple(j.limits), compliance),
         )
+        joints.append(joint)
         joint.start = j.coordinate
         if j.kind == "revolute":
             joint.frame_b = joint.frame_b @ rotation_about((0, 0, 1), j.coordinate)
         elif j.kind == "prismatic":
             joint.at_a = joint.at_a - j.coordinate * joint.frame_a[:, 2]
+    for g in read.gears:
+        m.gear(g.name.replace(" ", "_"), joints[g.a], joints[g.b], g.ratio)
+    m.assumed = read.assumed
     if any(b.mass == 0 for b in m.bodies):
         project(m.bodies, m.joints, {})
     return m

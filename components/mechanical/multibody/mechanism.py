@@ -44,6 +44,8 @@ class Mechanism:
     ):
         default = (0.0, -9.81, 0.0) if planar else (0.0, 0.0, -9.81)
         self.parts = MechanismParts(name, planar, np.array(default), description)
+        #: sentences on what the reader of a file took otherwise than the file says
+        self.assumed: tuple[str, ...] = ()
         if gravity is not None:
             self.parts.gravity = self._point("gravity", gravity)
 
