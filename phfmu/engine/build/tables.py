@@ -50,17 +50,26 @@ def structures() -> dict[str, tuple[Field, ...]]:
 
 
 def declared(header: str, names: Sequence[str]) -> dict[str, tuple[Field, ...]]:
-    """Members of the structures `names` in the text of a header: plain sizes and pointers, in order."""
+    """Members of the structures `names` in the text of a header: plain sizes and pointers, in order.
+
+    Members may go on over lines.  ValueError, with the member, for one of another kind: without it all that follow would lie
+    elsewhere than in C.
+    """
     text = re.sub(r"/\*.*?\*/", "", header, flags=re.S)
-    result = {}
-    for name, body in re.findall(r"typedef struct (\w+) \{(.*?)\} \1;", text, flags=re.S):
-        fields = []
-        for line in body.split(";"):
-            match = re.fullmatch(r"\s*(const )?([a-z_0-9]+(?: char)?) ?(\*?)(\w+(?:, \w+)*)\s*", line)
-            if match:
-                fields += [Field(n, match[2], bool(match[3]), bool(match[1])) for n in match[4].split(", ")]
-        result[name] = tuple(fields)
-    return {name: result[name] for name in names}
+    bodies = dict(re.findall(r"typedef struct (\w+) \{(.*?)\} \1;", text, flags=re.S))
+    return {name: tuple(_fields(name, bodies[name])) for name in names}
+
+
+def _fields(struct: str, body: str) -> Iterator[Field]:
+    """The members in the text between the braces of a structure."""
+    for member in (" ".join(part.split()) for part in body.split(";")[:-1]):
+        match = re.fullmatch(r"(const )?([a-z_0-9]+(?: char)?) ?(\*?) ?(\w+(?:, \w+)*)", member)
+        if not match:
+            raise ValueError(
+                f"{struct}: the member '{member}' is neither a plain value nor one pointer; declare it as one of these"
+            )
+        for name in match[4].split(", "):
+            yield Field(name, match[2], bool(match[3]), bool(match[1]))
 
 
 @lru_cache(maxsize=1)

@@ -15,7 +15,7 @@ from phfmu.engine.build.tables import ARRAYS, Field, declared, for_ctypes
 
 
 class Header:
-    """Structures `names` of headers (one field a line)."""
+    """Structures `names` of headers, whose members are plain values and single pointers (`declared`)."""
 
     def __init__(self, paths: Sequence[Path], names: Sequence[str]):
         self._text, self._names = "".join(p.read_text() for p in paths), tuple(names)
