@@ -148,3 +148,23 @@ def test_units_of_mechanisms_are_their_runs(
 @pytest.mark.parametrize("order", [2, 6])
 def test_mechanisms_run_ten_times_as_long(made: Any, step: float, stop: float, order: int) -> None:
     assert ran(made(), order, step, stop).ledger.summary().closed
+
+
+def test_impulses_pass_no_counter_of_a_gear() -> None:
+    """Which has no mass; ends that give way go with gears."""
+    from phfmu.components.mechanical.multibody import Compliance, Limits, Mechanism
+
+    def geared(**ends: Any) -> Mechanism:
+        m = Mechanism("geared", planar=True)
+        a, b = m.body("a", 1.0, 0.1), m.body("b", 1.0, 0.1, position=(1.0, 0.0))
+        j = m.joint("revolute", "j", None, a, at=(0.0, 0.0), **ends)
+        m.gear("w", j, m.joint("revolute", "k", None, b, at=(1.0, 0.0)), -2.0)
+        m.assemble(speeds={"j": 2.0})
+        return m
+
+    with pytest.raises(ValueError, match=r"geared: j.lower throws back by an impulse, and j.counter has no mass"):
+        geared(limits=(-1.0, 0.5), restitution=0.5).build()
+    result = ran(geared(limits=Limits(-1.0, 0.5, compliance=Compliance(1e3))).build(), 6, 1e-3, 0.6)
+    assert result.ledger.summary().closed
+    assert result.column("j.rate")[-1] == pytest.approx(-2.0, abs=1e-3)
+    assert result.column("k.rate")[-1] == pytest.approx(4.0, abs=2e-3)
