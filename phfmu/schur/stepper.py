@@ -8,8 +8,9 @@ is described in docs/internals/native-engine.md.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Hashable, Iterable
 from dataclasses import dataclass
+from typing import Any, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -18,6 +19,7 @@ from phfmu.declare.energy import EnergyKind
 from phfmu.declare.operations import degree, piecewise
 from phfmu.declare.variable import Value
 from phfmu.gradients.quadrature import nodes
+from phfmu.plan.differences import Sampled
 from phfmu.plan.layout import Layout
 from phfmu.plan.plan import Floats, Ints, Plan
 from phfmu.plan.unknown import ALGEBRAIC, COSTATE, INCREMENT
@@ -32,6 +34,8 @@ from phfmu.terms.located import Constant, Row
 from phfmu.terms.rank import ConstraintsAtStart
 from phfmu.terms.term import CONSTRAINT, ENERGY, FLOW, MASS, OBSERVABLE, EnergyForm, Term
 from phfmu.terms.velocities import velocity_of
+
+Made = TypeVar("Made")
 
 #: a factor of all rows with no more updates than this per row is never the larger part of a step
 FEW = 200
@@ -131,7 +135,8 @@ class _Builder:
         self.groups: dict[tuple[str, ...], Instances] = {}
         self.kinetic: set[int] = set()
         self.load: list[tuple[int, int, int, float]] = []
-        self.known: dict[tuple, Lanes] = {}
+        self.known: dict[tuple, Any] = {}
+        self.start = [s for v in t.model.parameters for s in v.start]
 
     def build(self) -> SchurStepper:
         for constant in self.terms.constants:
@@ -170,28 +175,30 @@ class _Builder:
 
     def _mass(self, term: Term) -> None:
         row, m, p = term.rows[0].index, term.data["m"], term.symbols(Value.PARAMETER)
-        _require(row in self.dof_v and not self._depends(m, term, Value.STATE))
+        _require(row in self.dof_v and not self._once("depends", term, lambda: self._depends(m, term, Value.STATE)))
         if inertia.is_light(term):
-            if not lanes.no_mass(term):
-                self._add(self._once(term, lambda: lanes.mass(term)), term, o=[self.dof_v[row]])
+            if not self._once("none", term, lambda: lanes.no_mass(term)):
+                self._add(self._once("mass", term, lambda: lanes.mass(term)), term, o=[self.dof_v[row]])
             return
-        start = [s for v in self.terms.model.parameters for s in v.start]
-        _require(float(ca.Function("m", [p], [m])([start[i] for i in term.indices(Value.PARAMETER)])) > 0)
-        self._add(self._once(term, lambda: lanes.mass(term)), term, o=[self.dof_v[row]])
+        value = self._once("value", term, lambda: Sampled(ca.Function("m", [p], [ca.densify(m)])))
+        _require(bool(value([np.array([self.start[i] for i in term.indices(Value.PARAMETER)], float)])[0] > 0))
+        self._add(self._once("mass", term, lambda: lanes.mass(term)), term, o=[self.dof_v[row]])
 
     def _energy(self, term: Term) -> None:
         states = term.indices(Value.STATE)
         kind = term.form_of(EnergyForm).kind
         if all(x in self.dof_v for x in states):
-            _require(kind is EnergyKind.QUADRATIC and self._is_kinetic(term) and not self.kinetic & set(states))
+            kinetic = kind is EnergyKind.QUADRATIC and self._once("kinetic", term, lambda: self._is_kinetic(term))
+            _require(kinetic and self.kinetic.isdisjoint(states))
             self.kinetic |= set(states)
             return
         _require(all(x in self.dof for x in states))
         dofs = [self.dof[x] for x in states]
         if kind is EnergyKind.QUADRATIC:
-            return self._add(self._once(term, lambda: lanes.potential(term)), term, x=dofs, o=dofs)
-        _require(kind is EnergyKind.STRAIN and not piecewise(term.data["phi"], term.local[Value.INVARIANT]))
-        self._add(self._once(term, lambda: lanes.strain(term, self.layout.k)), term, x=dofs)
+            return self._add(self._once("potential", term, lambda: lanes.potential(term)), term, x=dofs, o=dofs)
+        _require(kind is EnergyKind.STRAIN)
+        _require(not self._once("piecewise", term, lambda: piecewise(term.data["phi"], term.local[Value.INVARIANT])))
+        self._add(self._once("strain", term, lambda: lanes.strain(term, self.layout.k)), term, x=dofs)
 
     def _is_kinetic(self, term: Term) -> bool:
         """Its costates are the velocities themselves, z_v = v."""
@@ -211,7 +218,7 @@ class _Builder:
         _require(term.local.keys() <= {Value.STATE, Value.COSTATE, Value.INPUT, Value.PARAMETER})
         _require(all(x in self.dof for x in term.indices(Value.STATE)))
         self._add(
-            self._once(term, lambda: lanes.flow(term, outputs)), term,
+            self._once(("flow", *outputs), term, lambda: lanes.flow(term, outputs)), term,
             x=[self.dof[x] for x in term.indices(Value.STATE)], z=[self.dof_v[z] for z in term.indices(Value.COSTATE)],
             u=list(term.indices(Value.INPUT)), o=[self.dof_v[term.rows[j].index] for j in outputs],
         )  # fmt: skip
@@ -219,21 +226,20 @@ class _Builder:
     def _constraint(self, term: Term) -> None:
         if term.rows[0].index in self.resting:
             return
-        _require(
-            term.local.keys() <= {Value.STATE, Value.PARAMETER}
-            and degree(term.data["g"], term.local[Value.STATE]) in (1, 2)
-        )
-        known = self._once(term, lambda: lanes.constraint(term))
+        _require(term.local.keys() <= {Value.STATE, Value.PARAMETER})
+        _require(self._once("degree", term, lambda: degree(term.data["g"], term.local[Value.STATE])) in (1, 2))
+        known = self._once("constraint", term, lambda: lanes.constraint(term))
         self._add(known, term, x=[self.dof[x] for x in term.index[Value.STATE]], multiplier=term.rows[0].index)
 
     def _depends(self, expr: ca.SX, term: Term, kind: Value) -> bool:
         return kind in term.local and ca.depends_on(expr, term.local[kind])
 
-    def _once(self, term: Term, make: Callable[[], Lanes]) -> Lanes:
-        """Kernels are made once per kind of term."""
-        if term.key not in self.known:
-            self.known[term.key] = make()
-        return self.known[term.key]
+    def _once(self, what: Hashable, term: Term, make: Callable[[], Made]) -> Made:
+        """Kernels and properties follow from the key of a term: they are made once per kind."""
+        key = what, term.key
+        if key not in self.known:
+            self.known[key] = make()
+        return self.known[key]
 
     def _add(self, made: Lanes, term: Term, *, x=(), z=(), u=(), o=(), multiplier: int = -1) -> None:
         g = self.groups.setdefault(tuple(k.name for k in made.kernels), Instances(made.kernels))
