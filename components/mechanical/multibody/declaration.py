@@ -119,8 +119,8 @@ class Declaration:
         light = [p.called or f"particle {i + 1}" for i, p in enumerate(self.parts.masses) if not p.mass]
         if light and self.parts.contacts:
             raise ValueError(
-                f"{self.parts.name}: {self.parts.contacts[0].name} throws back by an impulse, and {light[0]} has no mass that could "
-                "take it (gears count turns by a point without mass); give the contact or the limits a compliance, or leave "
+                f"{self.parts.name}: {self.parts.contacts[0].name} throws back by an impulse, and {light[0]} has no mass that "
+                "could take it (gears count turns by a point without mass); give the contact or the limits a compliance, or leave "
                 "out one of them"
             )
 
