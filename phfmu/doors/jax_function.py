@@ -18,7 +18,7 @@ def jax_function(of: Differentiable, free: Sequence[str] | None = None) -> Calla
     Errors: ImportError without JAX; ValueError while it computes in 32 bits; KeyError for an argument that there is not.
     """
     try:
-        import jax
+        import jax  # pyright: ignore[reportMissingImports]
     except ImportError as error:
         raise ImportError('jax_function needs JAX: pip install "phfmu[jax]"') from error
     own = restricted(of, free)

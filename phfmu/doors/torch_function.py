@@ -16,7 +16,7 @@ def torch_function(of: Differentiable, free: Sequence[str] | None = None) -> Cal
     Errors: ImportError without PyTorch; TypeError for tensors of another kind; KeyError for an argument that there is not.
     """
     try:
-        import torch
+        import torch  # pyright: ignore[reportMissingImports]
     except ImportError as error:
         raise ImportError('torch_function needs PyTorch: pip install "phfmu[torch]"') from error
     own = restricted(of, free)

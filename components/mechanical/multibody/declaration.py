@@ -120,8 +120,8 @@ class Declaration:
         if light and self.parts.contacts:
             raise ValueError(
                 f"{self.parts.name}: {self.parts.contacts[0].name} throws back by an impulse, and {light[0]} has no mass that "
-                "could take it (gears count turns by a point without mass); give the contact or the limits a compliance, or leave "
-                "out one of them"
+                "could take it (gears count turns by a point without mass); give the contact or the limits a compliance, or "
+                "leave out one of them"
             )
 
     def phdae(self) -> PHDAE:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import astuple
 from pathlib import Path
 
 from phfmu.components.mechanical.multibody.assembly import project
@@ -56,6 +55,7 @@ def mechanism_of_file(
     joints: list[Joint] = []
     for j in read.joints:
         a, b = (bodies[i] if i >= 0 else None for i in (j.a, j.b))
+        ends = j.limits
         joint = m.joint(
             j.kind,
             j.name.replace(" ", "_"),
@@ -68,7 +68,7 @@ def mechanism_of_file(
             neutral=j.neutral,
             armature=j.armature,
             motor="effort" if j.motor else "",
-            limits=None if j.limits is None else Limits(*astuple(j.limits), compliance),
+            limits=None if ends is None else Limits(ends.lower, ends.upper, ends.restitution, compliance),
         )
         joints.append(joint)
         joint.start = j.coordinate
