@@ -96,3 +96,13 @@ def test_full_and_sparse_factors_lead_to_the_same_steps(declaration: PHDAE, monk
         found.append((instance.run(0.0, 0.01, 10, ("x",))["x"], instance.counts))
     assert np.abs(found[0][0] - found[1][0]).max() <= 1e-13
     assert found[0][1] == found[1][1]
+
+
+@pytest.mark.slow
+def test_an_update_that_sums_of_large_states_swallow_ends_the_iteration(compiler: None, tmp_path: Path) -> None:
+    """A shunt of 5 A where lines bring 1e5 A: its update stays 1.5e-11 A, of a value that grows by as much each time."""
+    from phfmu.cli import main
+
+    data = Path(phfmu.__path__[0]) / "components" / "grids" / "data" / "ieee39"
+    line = ["run", str(data / "ieee39.raw"), "--dynamics", str(data / "*.csv"), "--fault", "bus16:0.02:0.04", "--stop", "0.03"]
+    assert main([*line, "-o", str(tmp_path / "run.csv"), "--quiet"]) == 0

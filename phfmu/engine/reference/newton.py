@@ -22,6 +22,7 @@ Fixed = tuple[Array, Array, Array, float]  # what is fixed in a solve: x, [u | h
 
 EPS = float(np.finfo(float).eps)
 TOLERANCE, ROUNDING, STAGNATION = LIMITS["TOLERANCE"], LIMITS["ROUNDING"], LIMITS["STAGNATION"]
+SAME_UPDATE = LIMITS["SAME_UPDATE"]
 CRAWLING, CRAWL, SHRINKING = LIMITS["CRAWLING"], LIMITS["CRAWL"], LIMITS["SHRINKING"]
 STALLS, GROWN, FLOOR, SUMS = LIMITS["STALLS"], LIMITS["GROWN"], LIMITS["FLOOR"], LIMITS["CONSTRAINT_SUMS"]
 DELTA, DELTA_PART, DEPENDENT = LIMITS["DELTA"], LIMITS["DELTA_PART"], LIMITS["DEPENDENT"]
@@ -212,7 +213,7 @@ class Newton:
         crawls = CRAWL < ratio < 1.0
         if out.update > (CRAWLING if crawls else STAGNATION) or ratio <= SHRINKING:
             return False
-        noise = ratio >= 1.0 and out.update <= TOLERANCE
+        noise = ratio >= 1.0 - SAME_UPDATE and out.update <= TOLERANCE
         return stalls >= STALLS and (noise or self._at_floor(out.w, r, fixed, float(crawls)))
 
     def _at_floor(self, w: Array, r: Array, fixed: Fixed, nominal: float = 0.0) -> bool:

@@ -216,7 +216,7 @@ static int solved(const ph_system *s, int kept, int grew, int stalls, double pre
         return 0;
     if (stalls < PH_STALLS)
         return 0;
-    return (ratio >= 1.0 && s->update <= PH_TOLERANCE) || at_floor(s, crawls, s->base);
+    return (ratio >= 1.0 - PH_SAME_UPDATE && s->update <= PH_TOLERANCE) || at_floor(s, crawls, s->base);
 }
 
 /* From the w in Y to the solution; afterwards Y and all rows R belong to the final w. */

@@ -38,6 +38,10 @@
 #define PH_CRAWLING 1e-2
 #define PH_CRAWL 0.9
 
+/* An update that shrinks by less than this part is the one before: sums of large states take no notice of it.
+ */
+#define PH_SAME_UPDATE 1e-9
+
 /* Updates in a row that hardly shrink, to more than PH_SHRINKING; one that has grown by more than PH_GROWN
  * does not stall. */
 #define PH_STALLS 2
