@@ -104,5 +104,14 @@ def test_an_update_that_sums_of_large_states_swallow_ends_the_iteration(compiler
     from phfmu.cli import main
 
     data = Path(phfmu.__path__[0]) / "components" / "grids" / "data" / "ieee39"
-    line = ["run", str(data / "ieee39.raw"), "--dynamics", str(data / "*.csv"), "--fault", "bus16:0.02:0.04", "--stop", "0.03"]
+    line = [
+        "run",
+        str(data / "ieee39.raw"),
+        "--dynamics",
+        str(data / "*.csv"),
+        "--fault",
+        "bus16:0.02:0.04",
+        "--stop",
+        "0.03",
+    ]
     assert main([*line, "-o", str(tmp_path / "run.csv"), "--quiet"]) == 0

@@ -185,6 +185,20 @@ def test_the_page_of_a_run(place: Path, tmp_path: Path) -> None:
         assert fact in page
 
 
+def test_the_page_tells_what_junctions_made_net_and_gross(tmp_path: Path) -> None:
+    """Numbers of the audit, in full where the pointer rests on them."""
+    log = str(tmp_path / "gs.audit.parquet")
+    assert main(["run", "oscillator", "--coupling", "gauss-seidel", "--audit", log, "--quiet"]) == 0
+    page = written([log], tmp_path)
+    junctions = summarise(log).junctions
+    assert len(junctions) == 2
+    for j in junctions:
+        row = page.index(f"<tr><td>{j.junction}</td>")
+        told = re.findall(r'title="(\S+) J"', page[row : page.index("</tr>", row)])
+        assert [float(x) for x in told] == [j.residual, j.gross, j.exchanged, j.worst_residual]
+        assert j.gross > 100.0 * abs(j.residual) > 0.0
+
+
 def test_what_a_run_has_not_is_left_out(place: Path, tmp_path: Path) -> None:
     page = written([str(place / "rest.audit.parquet")], tmp_path)
     assert [t["type"] for figure in figures(page) for t in figure].count("sankey") == 0  # no energy went anywhere

@@ -170,11 +170,29 @@ def _books(accounts: Sequence[Book], summary: LedgerSummary) -> Iterator[str]:
         for b in accounts
     ]
     yield f"<table><tr><th>component</th>{head}<th>verdict</th></tr>{''.join(rows)}</table>"
-    sizes = {j.junction: j.worst_residual for j in summary.junctions}
-    worst = {name: sizes[name] for name in sorted(sizes, key=lambda n: -sizes[n])[:JUNCTIONS]}
-    if worst:
-        said = ", ".join(f"{name} {engineering(size, 'J')}" for name, size in worst.items())
-        yield f'<p class="note">Largest energy that a junction created or lost in a step: {escape(said)}.</p>'
+    yield from _junctions(summary)
+
+
+def _junctions(summary: LedgerSummary) -> Iterator[str]:
+    """What the junctions made in the whole run, net and as the sum of the sizes of steps, those that made most first."""
+    most = sorted(summary.junctions, key=lambda j: -max(j.gross, j.worst_residual))[:JUNCTIONS]
+    if not most:
+        return
+    heads = ("made, net", "made, gross", "exchanged", "most in a step")
+    head = "".join(f'<th class="n">{text}</th>' for text in heads)
+    rows = "".join(
+        f"<tr><td>{escape(j.junction)}</td>"
+        + "".join(_cell(v) for v in (j.residual, j.gross, j.exchanged, j.worst_residual))
+        + f"<td{' class=bad' if j.verdict == 'VIOLATED' else ''}>{escape(j.verdict)}</td></tr>"
+        for j in most
+    )
+    yield f"<table><tr><th>junction</th>{head}<th>verdict</th></tr>{rows}</table>"
+    more = len(summary.junctions) - len(most)
+    rest = f" The {more} other junctions made less." if more else ""
+    yield (
+        '<p class="note">Energy that junctions made in the whole run, which their members got more than they gave: gross is the '
+        f"sum of the sizes of its steps, in which signs do not cancel.{rest}</p>"
+    )
 
 
 def _cell(value: float | None) -> str:

@@ -29,7 +29,7 @@ _FONT = "system-ui, 'Segoe UI', Roboto, sans-serif"
 _STYLE = f"""
 body {{ font-family: {_FONT}; margin: 1.5rem auto; max-width: 1250px; padding: 0 1rem; color: #222; }}
 h1 {{ font-size: 1.4rem; }} h2 {{ font-size: 1.1rem; margin: 2rem 0 .5rem; border-bottom: 1px solid #ddd; }}
-p.note {{ color: #555; font-size: .85rem; }} table {{ border-collapse: collapse; font-size: .88rem; }}
+p.note {{ color: #555; font-size: .85rem; }} table {{ border-collapse: collapse; font-size: .88rem; margin-bottom: .8rem; }}
 td, th {{ padding: .15rem .8rem .15rem 0; text-align: left; }} td.n, th.n {{ text-align: right; }}
 th {{ border-bottom: 1px solid #999; font-weight: 600; }} .bad {{ color: #b00020; font-weight: 600; }}
 .facts th {{ border: 0; padding-right: 1.2rem; color: #555; }}
