@@ -6,7 +6,7 @@ import re
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from math import cos, pi, sqrt
+from math import cos, inf, pi, sqrt
 from typing import Literal
 
 import numpy as np
@@ -33,6 +33,8 @@ LOAD, VOLTAGE, SLACK, ISOLATED = 1, 2, 3, 4
 Plants = Literal["refuse", "currents"]
 #: zero sequence of lines, of which such files know nothing, as a part of the positive one
 ZERO = 3.0
+#: limits of reactive power that are none
+FREE = (-inf, inf)
 
 
 @dataclass(frozen=True)
@@ -48,6 +50,19 @@ class GridModel:
     network: Network
     specifications: tuple[Specification, ...]
     report: Report
+    #: by port of a unit that holds a voltage [Mvar]
+    q_limits: dict[str, tuple[float, float]] = field(default_factory=dict)
+
+    def beyond(self) -> list[str]:
+        """Lines about units at their limits of reactive power, or beyond them where nothing keeps them within."""
+        told = []
+        for port, (low, high) in self.q_limits.items():
+            q, name = -self.point.power(port).imag / 1e6, port.partition(".")[0]
+            if port in self.point.limited:
+                told.append(f"{name} delivers its limit of {q:.6g} Mvar and does not hold the voltage of its bus")
+            elif not low - 1e-6 <= q <= high + 1e-6:
+                told.append(f"{name} delivers {q:.6g} Mvar, beyond its limits of {low:g} and {high:g} Mvar")
+        return told
 
     @cached_property
     def point(self) -> NetworkPoint:
@@ -81,17 +96,19 @@ def grid_model(
     faults: Collection[int] = (),
     breakers: Collection[str] = (),
     controls: bool = True,
+    q_limits: bool = False,
 ) -> GridModel:
     """The network of a grid, begun flat at the voltages of the table, and what its operating point has to meet.
 
     plants: generators without data of a machine are refused, or constant balanced `currents`, as is a load of negative power
     faults: buses with a fault resistor, open;  breakers: lines (line1_2) whose poles can open
     controls: exciters, governors and stabilisers of the dynamic data; without them field voltages and torques are constant
+    q_limits: a machine holds its voltage as far as its limits of q let it, else they are told where they are passed
     GridError names what has no part here, and machines without data.
     """
     if plants not in ("refuse", "currents"):
         raise ValueError(f"plants = '{plants}' is neither refuse nor currents")
-    return _Build(grid, plants, faults, breakers, controls).model()
+    return _Build(grid, plants, faults, breakers, controls, q_limits).model()
 
 
 @dataclass
@@ -106,8 +123,16 @@ class _Node:
 
 
 class _Build:
-    def __init__(self, grid: Grid, plants: Plants, faults: Collection[int], breakers: Collection[str], controls: bool):
-        self.grid, self.plants = grid, plants
+    def __init__(
+        self,
+        grid: Grid,
+        plants: Plants,
+        faults: Collection[int],
+        breakers: Collection[str],
+        controls: bool,
+        q_limits: bool,
+    ):
+        self.grid, self.plants, self.limited = grid, plants, q_limits
         self.omega = 2.0 * pi * grid.frequency
         self.bus = grid.bus
         self.net = Network(_identifier(grid.name) or "grid", description=f"{grid.name}: {len(grid.buses)} buses")
@@ -115,6 +140,7 @@ class _Build:
         self.rows: list[Row] = []
         self.notes: list[str] = [f"not represented: {line}" for line in grid.unused]
         self.specifications: list[Specification] = []
+        self.q_limits: dict[str, tuple[float, float]] = {}
         self.nodes = {b.number: _Node() for b in grid.buses if b.kind != ISOLATED}
         self.branches = self._named_branches()
         self.problems = [why for branch in self.branches.values() if (why := _unsound(branch))]
@@ -162,7 +188,8 @@ class _Build:
         if self.controls:
             self.net.signals(self.controls.wires)
         self._account_of_dynamics()
-        return GridModel(self.grid, self.net, tuple(self.specifications), Report(tuple(self.rows), tuple(self.notes)))
+        return GridModel(self.grid, self.net, tuple(self.specifications), Report(tuple(self.rows), tuple(self.notes)),
+                         self.q_limits)  # fmt: skip
 
     # -- bases and names ---------------------------------------------------------------------------------------------
 
@@ -378,10 +405,10 @@ class _Build:
 
     def _unit(self, name: str, g: Generator, data: Dynamics | None, holds: bool) -> None:
         device, kind = f"generator '{g.id}' at bus {g.bus}", "machine" if data else "plant"
-        used = "p, voltage" if holds else "p, q"
+        used = ("p, voltage, limits of q" if self.limited else "p, voltage") if holds else "p, q"
         remote = f"voltage held at bus {g.holds}" if g.holds != g.bus else ""
         if data is None:
-            if self._current_plant(name, g.bus, complex(g.p, g.q), g.base, holds):
+            if self._current_plant(name, g.bus, complex(g.p, g.q), g.base, holds, g.q_limits):
                 self.rows.append(
                     Row(kind, device, (name,), used, remote, "no machine data: a constant balanced current")
                 )
@@ -397,7 +424,7 @@ class _Build:
         theta = next(v for v in model.states if v.name == "theta").start[0] + self.angle[g.bus]
         self.net.add(name, model.with_starts({"theta": theta}))
         self.nodes[g.bus].ends.append(f"{name}.terminal")
-        unused, assumed, free = [remote, dropped(data), "limits of q"], ["field and torque constant"], None
+        unused, assumed, free = [remote, dropped(data)], ["field and torque constant"], None
         if self.controls:
             try:
                 found = self.controls.add(name, g.id, machine, self.bus[g.bus], self.angle[g.bus], g.p / g.base)
@@ -413,10 +440,12 @@ class _Build:
                 self.nodes[g.bus].ends.append(meter)
         else:
             used = f"{used}, {data.model}"
-        self._specify(f"{name}.terminal", g.bus, complex(g.p, g.q), holds, free)
+        self._specify(f"{name}.terminal", g.bus, complex(g.p, g.q), holds, free, g.q_limits)
         self.rows.append(Row(kind, device, (name,), used, "; ".join(filter(None, unused)), "; ".join(assumed)))
 
-    def _current_plant(self, name: str, bus: int, s: complex, size: float, holds: bool | None) -> bool:
+    def _current_plant(
+        self, name: str, bus: int, s: complex, size: float, holds: bool | None, q_limits: tuple[float, float] = FREE
+    ) -> bool:
         """A balanced current that meets P and Q (or the voltage); False where it would be no current at all."""
         if not s and not holds:
             return False
@@ -424,15 +453,21 @@ class _Build:
         z = (s * 1e6 / (1.5 * v)).conjugate()
         self.net.add(name, balanced_current_source(z, self.grid.frequency, v=v, i=i))
         self.nodes[bus].ends.append(f"{name}.terminal")
-        self._specify(f"{name}.terminal", bus, s, bool(holds), (f"{name}.phasor[1]", f"{name}.phasor[2]"))
+        free = (f"{name}.phasor[1]", f"{name}.phasor[2]")
+        self._specify(f"{name}.terminal", bus, s, bool(holds), free, q_limits)
         return True
 
-    def _specify(self, port: str, bus: int, s: complex, holds: bool, free: tuple[str, str] | None) -> None:
+    def _specify(
+        self, port: str, bus: int, s: complex, holds: bool, free: tuple[str, str] | None, q_limits: tuple[float, float]
+    ) -> None:
         V = self.bus[bus].vm * self.bus[bus].kv * 1e3
+        if holds and self.bus[bus].kind != SLACK:
+            self.q_limits[port] = q_limits
         if holds and self.bus[bus].kind == SLACK:
             self.specifications.append(Slack(port, free, V=V, angle=self.bus[bus].va))
         elif holds:
-            self.specifications.append(PV(port, free, P=s.real * 1e6, V=V))
+            Q = (q_limits[0] * 1e6, q_limits[1] * 1e6) if self.limited else FREE
+            self.specifications.append(PV(port, free, P=s.real * 1e6, V=V, Q=Q))
         else:
             self.specifications.append(PQ(port, free, P=s.real * 1e6, Q=s.imag * 1e6))
 

@@ -69,12 +69,13 @@ def grid_scene(
     trips: Sequence[Trip] = (),
     plants: Plants = "refuse",
     controls: bool = True,
+    q_limits: bool = False,
     stop: float = 1.0,
     step: float = 5e-5,
 ) -> Scene:
     """The grid in its operating point, with the faults and trips as events; the scene's notes are the account of the import.
 
-    plants, controls: those of `grid_model`;  stop, step [s]: of the run
+    plants, controls, q_limits: those of `grid_model`;  stop, step [s]: of the run
     GridError for data without parts; NoOperatingPoint where there is none.
     """
     ends = [f.end for f in faults]
@@ -82,7 +83,7 @@ def grid_scene(
         raise ValueError(f"trip of {open_ended[0]}: say when ({open_ended[0]}:0.2), as there is no fault that ends")
     buses = list(dict.fromkeys(f.bus for f in faults))
     breakers = [t.branch for t in trips]
-    model = grid_model(grid, plants=plants, faults=buses, breakers=breakers, controls=controls)
+    model = grid_model(grid, plants=plants, faults=buses, breakers=breakers, controls=controls, q_limits=q_limits)
     events = [e for f in faults for e in _events(model, f)]
     events += [
         Event(min(ends) if t.t is None else t.t, f"{model.branch(t.branch)}.command", 0.0)
@@ -114,6 +115,7 @@ def _account(model: GridModel) -> list[str]:
     p = model.point
     return [
         f"operating point: {p.iterations} iterations, residual {p.residual:.1e} of the rates",
+        *model.beyond(),
         *model.report.beside(),
         *model.report.notes,
     ]

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from phfmu.network.junction import End
 from phfmu.network.network import Network
+from phfmu.operating.reactive_limits import Switching
 from phfmu.operating.rotation import BALANCED, TURN, Equations, three_phase
 from phfmu.operating.set_points import require_within_limits, solved_in_blocks
 from phfmu.operating.specifications import Specification
@@ -30,7 +31,8 @@ class NetworkPoint:
 
     states, algebraics, inputs, parameters: values by scalar name;  voltages [V]: phase values at t = 0 of three-phase
     junctions;  currents [A]: into members, by port, where they were unknowns;  residuals: of the rate of each state, relative to
-    w times its nominal value;  iterations: of Newton's method.
+    w times its nominal value;  iterations: of Newton's method;  limited: delivered reactive power [var] by port, of regulators
+    that cannot hold their voltage within their limits.
     """
 
     network: Network
@@ -44,6 +46,7 @@ class NetworkPoint:
     residuals: dict[str, float]
     iterations: int
     _equations: dict[str, Equations] = field(repr=False)
+    limited: dict[str, float] = field(default_factory=dict)
 
     @property
     def residual(self) -> float:
@@ -61,10 +64,13 @@ class NetworkPoint:
 
     def power(self, port: str) -> complex:
         """P + jQ in VA that the member takes at a port whose current was an unknown."""
-        end = End(*port.split(".", 1))
-        at = next(j.name for j in self.network.junctions if end in j.ends)
-        v, i = self.voltages[at], self.currents[port]
+        v, i = self.voltages[self.junction_of(port)], self.currents[port]
         return complex(v @ i, v @ TURN @ i)
+
+    def junction_of(self, port: str) -> str:
+        """The junction that a port `member.name` is at."""
+        end = End(*port.split(".", 1))
+        return next(j.name for j in self.network.junctions if end in j.ends)
 
     def started(self) -> Network:
         """The network with the point as its start."""
@@ -94,9 +100,19 @@ def operating_point(net: Network, specifications: Sequence[Specification], frequ
     NoOperatingPoint names members that are not symmetric under rotation of the phases, sources of another frequency, numbers of
     equations and unknowns that differ, voltages that no grid is run at, and limits of controllers that the point lies
     beyond.  KeyError names ports and free names that are not there.
+    A `PV` whose Q would be beyond its limits delivers the limit instead (`limited`), as long as its voltage stays on that side.
     """
-    system = System(net, specifications, 2.0 * pi * frequency)
-    return _told(system, *solved_in_blocks(system))
+    switching = Switching(net.name, specifications)
+    taken, limits = 0, True
+    while limits:
+        system = System(net, switching.now, 2.0 * pi * frequency)
+        v, iterations = solved_in_blocks(system)
+        taken += iterations
+        point = _told(system, v, taken)
+        _require_sound(system, point)
+        limits = switching.moved(point)
+    require_within_limits(net, point.states | point.parameters)
+    return replace(point, limited=switching.limited)
 
 
 def _told(system: System, v: Array, iterations: int) -> NetworkPoint:
@@ -127,7 +143,7 @@ def _told(system: System, v: Array, iterations: int) -> NetworkPoint:
     for end, (at, phases) in system.current.items():
         if phases and system.at_port[end][0].shared == "effort":
             currents[str(end)] = BALANCED @ v[at : at + 2]
-    point = NetworkPoint(
+    return NetworkPoint(
         system.net,
         system.omega,
         states,
@@ -140,9 +156,6 @@ def _told(system: System, v: Array, iterations: int) -> NetworkPoint:
         iterations,
         system.kind_of,
     )
-    _require_sound(system, point)
-    require_within_limits(system.net, states | parameters)
-    return point
 
 
 def _require_sound(system: System, point: NetworkPoint) -> None:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import cos, sin
+from math import cos, inf, sin
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,10 +74,18 @@ class Slack(Specification):
 
 @dataclass(frozen=True, kw_only=True)
 class PV(Specification):
-    """Delivered active power P [W] and voltage V [V rms, line to line]: a generator with a voltage regulator."""
+    """Delivered active power P [W] and voltage V [V rms, line to line]: a generator with a voltage regulator.
+
+    Q [var]: the least and the most reactive power that it delivers; where V asks for more it is a `PQ` at the limit.
+    """
 
     P: float
     V: float
+    Q: tuple[float, float] = (-inf, inf)
+
+    def __post_init__(self) -> None:
+        if not self.Q[0] <= self.Q[1]:
+            raise ValueError(f"PV at {self.port}: Q is within {self.Q[0]:g} and {self.Q[1]:g} var, which is nowhere")
 
     def residual(self, v: Array, i: Array, free: Array, omega: float) -> Residual:
         size = abs(self.P) or self.V**2 / omega

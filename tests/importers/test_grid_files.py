@@ -5,12 +5,15 @@ from __future__ import annotations
 from dataclasses import replace
 from math import radians
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from phfmu.components.grids import grid_model
 from phfmu.components.scenes.grids import public_grid
 from phfmu.importers.grid import Grid, GridError, from_pandapower, read_grid, read_matpower, read_raw, with_dynamics
+from phfmu.operating import PV
 
 CASES = Path(__file__).parent.parent / "reference" / "data" / "grids"
 NINE = CASES / "ieee9.raw"
@@ -191,6 +194,62 @@ def test_new_england_is_the_case_of_pandapower() -> None:
     pp.runpp(net, tolerance_mva=1e-9, calculate_voltage_angles=True, trafo_model="pi", init="dc", numba=False)
     assert [b.vm for b in ours.buses] == pytest.approx(list(net.res_bus.vm_pu), abs=1e-9)
     assert [b.va for b in ours.buses] == pytest.approx(list(np.radians(net.res_bus.va_degree)), abs=1e-9)
+
+
+def limited_new_england(most: float, less: float) -> tuple[Any, Any]:
+    """Pandapower's net with a part `most` of its upper limits of reactive power, the lower ones less by `less` Mvar; its table."""
+    pytest.importorskip("pandapower", reason="the extra `grid` is not installed")
+    from pandapower.networks import case39
+
+    net = case39()
+    net.gen.max_q_mvar *= most
+    net.gen.min_q_mvar -= less
+    return net, from_pandapower(net)
+
+
+@pytest.mark.parametrize("most", [0.6, 0.8])
+def test_limits_of_reactive_power_are_met_as_by_pandapower(most: float) -> None:
+    import pandapower as pp
+
+    net, grid = limited_new_england(most, 500.0)
+    pp.runpp(net, tolerance_mva=1e-9, calculate_voltage_angles=True, trafo_model="pi", init="dc", numba=False,
+             enforce_q_lims=True)  # fmt: skip
+    m = grid_model(grid, plants="currents", controls=False, q_limits=True)
+    V = m.voltages()
+    for bus, q in zip(net.gen.bus, net.res_gen.q_mvar, strict=True):
+        assert -m.point.power(f"plant{bus}.terminal").imag / 1e6 == pytest.approx(q, abs=1e-6)
+        assert abs(V[bus]) == pytest.approx(net.res_bus.vm_pu[bus], abs=1e-9)
+    at_limit = {f"plant{b}.terminal" for b, q, top in zip(net.gen.bus, net.res_gen.q_mvar, net.gen.max_q_mvar, strict=True)
+                if q > top - 1e-6}  # fmt: skip
+    assert at_limit == set(m.point.limited) and len(at_limit) >= (4 if most < 0.7 else 1)
+
+
+def test_a_regulator_leaves_its_limit_where_its_voltage_lets_it() -> None:
+    """At bus 36 Q would be negative before others are at their limits; then it holds 1.0275 pu with 8.65 Mvar."""
+    _, grid = limited_new_england(0.6, 0.0)
+    m = grid_model(grid, plants="currents", controls=False, q_limits=True)
+    free = grid_model(grid, plants="currents", controls=False)
+    assert any(line.startswith("plant33 delivers") and "beyond its limits" in line for line in free.beyond())
+    assert (
+        sum("does not hold the voltage" in line for line in m.beyond()) == len(m.beyond()) == len(m.point.limited) == 4
+    )
+    V = m.voltages()
+    for g in grid.generators:
+        port, b = f"plant{g.bus}.terminal", grid.bus[g.bus]
+        if b.kind != 2:
+            continue
+        q, (low, high) = -m.point.power(port).imag / 1e6, g.q_limits
+        assert low - 1e-6 <= q <= high + 1e-6
+        if port not in m.point.limited:
+            assert abs(V[g.bus]) == pytest.approx(g.v, abs=1e-9)
+        else:
+            assert (q > high - 1e-6 and abs(V[g.bus]) < g.v) or (q < low + 1e-6 and abs(V[g.bus]) > g.v)
+    assert "plant36.terminal" not in m.point.limited
+
+
+def test_limits_that_are_nowhere_are_refused() -> None:
+    with pytest.raises(ValueError, match="PV at gen.terminal: Q is within 2 and 1 var, which is nowhere"):
+        PV("gen.terminal", P=1.0, V=1.0, Q=(2.0, 1.0))
 
 
 def test_a_name_that_is_no_grid() -> None:

@@ -103,7 +103,8 @@ def _table(name: str, base: float, frequency: float, bus: Rows, branch: Rows, ge
         at = int(row[0])
         count[at] = count.get(at, 0) + 1
         size = row[6] if row[6] > 0 else base
-        generators.append(Generator(at, str(count[at]), row[1], row[2], row[5], at, size, on=row[7] > 0))
+        q = (row[4], row[3])
+        generators.append(Generator(at, str(count[at]), row[1], row[2], row[5], at, size, on=row[7] > 0, q_limits=q))
     return Grid(
         name, base, frequency,
         tuple(_bus(r, kv, held) for r in bus),

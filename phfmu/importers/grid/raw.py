@@ -181,7 +181,7 @@ def _generator(r: Record, revision: int) -> Generator:
         ])  # fmt: skip
     return Generator(
         bus, r.text(1, "1"), r.number(2), r.number(3), r.number(6, 1.0), r.integer(7, 0) or bus, r.number(k, 100.0),
-        r.number(k + 1), r.number(k + 2, 1.0), r.integer(k + 6, 1) != 0,
+        r.number(k + 1), r.number(k + 2, 1.0), r.integer(k + 6, 1) != 0, (r.number(5, -9999.0), r.number(4, 9999.0)),
     )  # fmt: skip
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from math import inf
 
 from phfmu.words import first_few, meant
 
@@ -97,6 +98,7 @@ class Generator:
     """A machine or plant that delivers p [MW], q [Mvar]; v [pu]: voltage held at the bus `holds`; base [MVA].
 
     r, x [pu of its base]: resistance of the stator, and reactance behind which its voltage is constant.
+    q_limits: the least and the most q [Mvar].
     """
 
     bus: int
@@ -109,6 +111,7 @@ class Generator:
     r: float = 0.0
     x: float = 0.0
     on: bool = True
+    q_limits: tuple[float, float] = (-inf, inf)
 
 
 @dataclass(frozen=True)
