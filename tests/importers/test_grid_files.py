@@ -197,7 +197,7 @@ def test_new_england_is_the_case_of_pandapower() -> None:
 
 
 def limited_new_england(most: float, less: float) -> tuple[Any, Any]:
-    """Pandapower's net with a part `most` of its upper limits of reactive power, the lower ones less by `less` Mvar; its table."""
+    """Pandapower's net with a part `most` of its upper limits of reactive power, the lower ones less by `less` Mvar, as table."""
     pytest.importorskip("pandapower", reason="the extra `grid` is not installed")
     from pandapower.networks import case39
 
