@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -22,6 +21,7 @@ from phfmu.components.electrical.rlc_load import rlc_load
 from phfmu.components.electrical.sources import balanced_current_source
 from phfmu.components.electrical.switch import fault_resistor
 from phfmu.components.grids.angles import angles, apart
+from phfmu.components.grids.branches import identifier, named, unsound, vector_group
 from phfmu.components.grids.controls import KINDS, Controllers
 from phfmu.components.grids.machines import MODELS, dropped, machine_of
 from phfmu.components.grids.report import Report, Row
@@ -82,7 +82,7 @@ class GridModel:
     def branch(self, words: str) -> str:
         """The member of a line or transformer: line5_7 also of line5-7 and line7-5; GridError for one that is not there."""
         there = [r.members[0] for r in self.report.rows if r.kind in ("line", "transformer")]
-        return _named(self.grid.name, words, there)
+        return named(self.grid.name, words, there)
 
     def fault_conductance(self, bus: int, R: float) -> float:
         """The conductance in S of a fault of R [pu] at a bus."""
@@ -135,7 +135,7 @@ class _Build:
         self.grid, self.plants, self.limited = grid, plants, q_limits
         self.omega = 2.0 * pi * grid.frequency
         self.bus = grid.bus
-        self.net = Network(_identifier(grid.name) or "grid", description=f"{grid.name}: {len(grid.buses)} buses")
+        self.net = Network(identifier(grid.name) or "grid", description=f"{grid.name}: {len(grid.buses)} buses")
         self.controls = Controllers(self.net, grid.dynamics, grid.frequency) if controls else None
         self.rows: list[Row] = []
         self.notes: list[str] = [f"not represented: {line}" for line in grid.unused]
@@ -143,7 +143,7 @@ class _Build:
         self.q_limits: dict[str, tuple[float, float]] = {}
         self.nodes = {b.number: _Node() for b in grid.buses if b.kind != ISOLATED}
         self.branches = self._named_branches()
-        self.problems = [why for branch in self.branches.values() if (why := _unsound(branch))]
+        self.problems = [why for branch in self.branches.values() if (why := unsound(branch))]
         if self.problems:
             raise GridError(grid.name, self.problems)
         if lost := apart(grid, self.nodes, self.branches.values()):
@@ -152,7 +152,7 @@ class _Build:
         self.angle = angles(grid, self.nodes, self.branches.values())
         #: bus -> the set of buses that series capacitors join it to
         self.joined = self._joined_buses()
-        self.breakers = {_named(grid.name, name, self.branches) for name in breakers}
+        self.breakers = {named(grid.name, name, self.branches) for name in breakers}
         self.faults = [self._known(b) for b in faults]
 
     def model(self) -> GridModel:
@@ -227,7 +227,7 @@ class _Build:
             if dead:
                 self.notes.append(f"not represented: {label}, whose bus {dead[0]} is isolated")
                 continue
-            out[f"{label}_{_identifier(b.circuit)}" if label in several else label] = b
+            out[f"{label}_{identifier(b.circuit)}" if label in several else label] = b
         return out
 
     # -- branches ----------------------------------------------------------------------------------------------------
@@ -265,7 +265,7 @@ class _Build:
             self.problems.append(f"{device}: a transformer cannot be tripped; trip the lines beside it")
             return
         Va, Vb = (self.bus[n].kv * 1e3 for n in (t.i, t.j))
-        group = _vector_group(t, Va > Vb)
+        group = vector_group(t, Va > Vb)
         part = two_winding_transformer(
             self.grid.base * 1e6, Va, Vb, f=self.grid.frequency, r=t.r, x=t.x, group=group, tap=t.tap
         )
@@ -332,8 +332,8 @@ class _Build:
             s = complex(d.p + d.ip * v + d.yp * v**2, d.q + d.iq * v - d.yq * v**2) / base
             device = f"load '{d.id}' at bus {d.bus}"
             if s.real < 0:
-                self._current_plant(f"feed{d.bus}_{_identifier(d.id)}", d.bus, -s * base, abs(s) * base, None)
-                self.rows.append(Row("load", device, (f"feed{d.bus}_{_identifier(d.id)}",), "p, q", "",
+                self._current_plant(f"feed{d.bus}_{identifier(d.id)}", d.bus, -s * base, abs(s) * base, None)
+                self.rows.append(Row("load", device, (f"feed{d.bus}_{identifier(d.id)}",), "p, q", "",
                                      "negative power: a constant current"))  # fmt: skip
                 continue
             self.nodes[d.bus].demands.append(s)
@@ -399,7 +399,7 @@ class _Build:
             first = min(there, key=lambda g: ((g.bus, g.id) not in data, -g.base))
             for g in there:
                 name = f"{'gen' if (g.bus, g.id) in data else 'plant'}{number}"
-                name = f"{name}_{_identifier(g.id)}" if len(there) > 1 else name
+                name = f"{name}_{identifier(g.id)}" if len(there) > 1 else name
                 holds = self.bus[number].kind in (VOLTAGE, SLACK) and g is first
                 self._unit(name, g, data.get((g.bus, g.id)), holds)
 
@@ -481,52 +481,3 @@ class _Build:
             if d.model not in self._known_models():
                 count[d.model] = count.get(d.model, 0) + 1
         self.notes += [f"not represented: {n} {model}" for model, n in count.items()]
-
-
-def _unsound(branch: Line | Transformer) -> str:
-    """Why a branch has no part; empty for one that has."""
-    what = "line" if isinstance(branch, Line) else "transformer"
-    device, r, x = f"{what} {branch.i}-{branch.j} '{branch.circuit}'", branch.r, branch.x
-    if x == 0:
-        return f"{device}: x = 0; give it an inductance, or make its two buses one"
-    if isinstance(branch, Transformer) and x < 0:
-        return f"{device}: x = {x:g} pu; a transformer has a positive leakage, give its windings otherwise"
-    if r < 0:
-        return f"{device}: r = {r:g} pu is negative"
-    if isinstance(branch, Transformer) and _hour(branch) is None:
-        degrees = branch.shift * 180 / pi
-        return (
-            f"{device}: it shifts the phase by {degrees:g} degrees, which no vector group does; give 0, 180 or an odd "
-            "multiple of 30"
-        )
-    return ""
-
-
-def _hour(t: Transformer) -> int | None:
-    """The hour by which side b lags side a; None for an angle that no vector group has."""
-    hour = t.shift / (pi / 6)
-    near = round(hour)
-    return near % 12 if abs(hour - near) < 1e-6 and near % 12 in (0, 1, 5, 6, 7, 11) else None
-
-
-def _vector_group(t: Transformer, down: bool) -> str:
-    """The group of the file where its hour is the angle; else stars with ground, for odd hours with a delta on the lower side."""
-    hour = _hour(t)
-    own = re.fullmatch(r"(YN|Y|D)(yn|y|d)(\d+)", t.group)
-    if own is not None and int(own[3]) == hour:
-        return t.group
-    return f"YNyn{hour}" if hour in (0, 6) else f"YNd{hour}" if down else f"Dyn{hour}"
-
-
-def _named(grid: str, text: str, there: Collection[str]) -> str:
-    """The name of a branch in service: line5_7 also of line5-7 and line7-5; GridError for one that is not there."""
-    name = text.replace("-", "_")
-    m = re.fullmatch(r"([a-z]+)(\d+)_(\d+)(.*)", name)
-    for found in (name, "" if m is None else f"{m[1]}{m[3]}_{m[2]}{m[4]}"):
-        if found in there:
-            return found
-    raise GridError(grid, [f"no line or transformer '{text}' in service; {meant(name, there)}"])
-
-
-def _identifier(text: str) -> str:
-    return re.sub(r"[^A-Za-z0-9]+", "_", text).strip("_")

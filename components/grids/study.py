@@ -110,12 +110,18 @@ def _events(model: GridModel, fault: Fault) -> tuple[Event, Event]:
     return Event(fault.begin, name, model.fault_conductance(fault.bus, fault.R)), Event(fault.end, name, 0.0)
 
 
+def shortened(lines: Sequence[str], most: int = 4) -> list[str]:
+    """The first lines, and how many more there are."""
+    more = len(lines) - most
+    return [*lines[:most], *([f".. and {more} more of that kind"] if more > 0 else [])]
+
+
 def _account(model: GridModel) -> list[str]:
     """How well the operating point holds, and what of the file is not used or assumed, a line each."""
     p = model.point
     return [
         f"operating point: {p.iterations} iterations, residual {p.residual:.1e} of the rates",
-        *model.beyond(),
+        *shortened(model.beyond()),
         *model.report.beside(),
         *model.report.notes,
     ]

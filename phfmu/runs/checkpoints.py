@@ -37,9 +37,10 @@ class Carriers:
         """What they carry."""
         return {"stretch": self.stretch, "start": self.start, **{n: carried(part) for n, part in self._parts.items()}}
 
-    def take(self, name: str, found: Mapping[str, Any]) -> None:
-        """One of them goes on from what was found."""
-        carry(self._parts[name], found[name])
+    def take(self, found: Mapping[str, Any], *names: str) -> None:
+        """Some of them go on from what was found, in this order."""
+        for name in names:
+            carry(self._parts[name], found[name])
 
 
 def require_continued(stepper: Stepper) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from os import PathLike
@@ -61,10 +61,8 @@ def _run(stepper: Stepper, options: Options, events: Callable[..., Iterator[Even
     book, rows = Book(stepper, ledger, options.happened), Rows(options)
     march = _march(stepper, book, options)
     before, projection = stepper.rest_changes(), None
-    carriers, found = Carriers(stepper=stepper, book=book, ledger=ledger, rows=rows, columns=told, march=march), None
-    if (kept := options.checkpoints) is not None:
-        require_continued(stepper)
-        march.between_blocks, found = partial(kept.between_blocks, carriers.now), kept.found
+    carriers = Carriers(stepper=stepper, book=book, ledger=ledger, rows=rows, columns=told, march=march)
+    found = _kept(stepper, march, carriers, options)
     t0, stop, close = options.t0, options.stop, 1e-9 * options.step
     try:
         with dense_rows(stepper, options.dense):
@@ -74,24 +72,23 @@ def _run(stepper: Stepper, options: Options, events: Callable[..., Iterator[Even
                     continue
                 if found is not None and carriers.stretch == found["stretch"]:
                     carriers.start = projection, before = found["start"]
-                    carriers.take("stepper", found)
+                    carriers.take(found, "stepper")
                     told.begin(stretch)
-                    for name in ("book", "ledger", "rows", "columns", "march"):
-                        carriers.take(name, found)
-                    for time, values, inside in march.on(stretch):
-                        rows.take(time, told.rows(time, values), inside)
-                    continue
-                if stretch.start == t0:
-                    projection = _begin(stepper, book, options, stretch.events, stretch.end)
-                    carriers.start = projection, before
-                    told.begin(stretch)
-                    start = np.array([t0])
-                    rows.take(start, told.rows(start, stepper.read()[None], after=True), np.zeros(1, bool))
+                    carriers.take(found, "book", "ledger", "rows", "columns", "march")
+                    march_rows = march.on(stretch)
                 else:
-                    for e in stretch.events:
-                        book.set_value(e)
+                    if stretch.start == t0:
+                        projection = _begin(stepper, book, options, stretch.events, stretch.end)
+                        carriers.start = projection, before
+                    else:
+                        for e in stretch.events:
+                            book.set_value(e)
                     told.begin(stretch)
-                for time, values, inside in march.over(stretch, stretch.start > t0):
+                    if stretch.start == t0:
+                        start = np.array([t0])
+                        rows.take(start, told.rows(start, stepper.read()[None], after=True), np.zeros(1, bool))
+                    march_rows = march.over(stretch, stretch.start > t0)
+                for time, values, inside in march_rows:
                     rows.take(time, told.rows(time, values), inside)
     except EndRequested as end:
         book.notes.append(_ended(stepper, book, rows, told, end))
@@ -106,21 +103,22 @@ def _run(stepper: Stepper, options: Options, events: Callable[..., Iterator[Even
     facts = march.facts()
     if options.dense is not None:
         facts["interpolated"] = inside
-    rest_notes = _rest_notes(before, stepper.rest_changes())
-    said = (
-        *notes,
-        *_unreached(events(stop - close), stop),
-        *book.notes,
-        *book.told(),
-        *march.notes(),
-        *stepper.notes(),
-        *rest_notes,
-    )
+    own = (*book.notes, *book.told(), *march.notes(), *stepper.notes(), *_rest_notes(before, stepper.rest_changes()))
+    said = (*notes, *_unreached(events(stop - close), stop), *own)
     return Result(
         told.names, time, values, told.units, ledger, book.steps, book.iterations, book.worst(), projection, notes=said,
         least={c: (t, dict(zip(stepper.names, row.tolist(), strict=True))) for c, (t, row) in book.least.items()},
         kinds=told.kinds, labels=told.labels, **facts,
     )  # fmt: skip
+
+
+def _kept(stepper: Stepper, march: Any, carriers: Carriers, options: Options) -> Mapping[str, Any] | None:
+    """What a run that was ended has left, if this one goes on with it; the march tells when it is between two blocks."""
+    if options.checkpoints is None:
+        return None
+    require_continued(stepper)
+    march.between_blocks = partial(options.checkpoints.between_blocks, carriers.now)
+    return options.checkpoints.found
 
 
 def _ended(stepper: Stepper, book: Book, rows: Rows, told: RunColumns, end: EndRequested) -> str:
