@@ -75,7 +75,7 @@ def test_a_killed_run_goes_on_to_the_same_bits(name: str, tmp_path: Path) -> Non
 def test_a_hundred_kills_at_random(tmp_path: Path) -> None:
     chance, done, was = random.Random(1), 0, tmp_path / "was"
     was.mkdir()
-    run = ("buffer", "--stop", "500", "--restart", "2")
+    run = ("buffer", "--stop", "800", "--restart", "2")
     subprocess.run(command(was, run, "t.csv"), check=True)
     while done < 100:
         now = tmp_path / f"now{done}"
