@@ -209,7 +209,7 @@ def limited_new_england(most: float, less: float) -> tuple[Any, Any]:
 
 @pytest.mark.parametrize("most", [0.6, 0.8])
 def test_limits_of_reactive_power_are_met_as_by_pandapower(most: float) -> None:
-    import pandapower as pp
+    pp = pytest.importorskip("pandapower", reason="the extra `grid` is not installed")
 
     net, grid = limited_new_england(most, 500.0)
     pp.runpp(net, tolerance_mva=1e-9, calculate_voltage_angles=True, trafo_model="pi", init="dc", numba=False,
