@@ -6,12 +6,14 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
+from phfmu import interrupt
 from phfmu.components.mechanical.translational import mass
 from phfmu.discretise.model import build_model
 from phfmu.engine.build import cache, objects
@@ -255,3 +257,31 @@ def test_a_signal_ends_a_build_and_its_compilers(folder: Path, tmp_path: Path, k
         with pytest.raises(ProcessLookupError):
             os.kill(process, 0)
     assert not list((folder / "lib").glob("tmp*"))
+
+
+def test_a_compiler_that_starts_as_the_work_ends_is_ended_too(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The others are ended while it is still being started, before it is among those at work."""
+    slow = tmp_path / "cc"
+    slow.write_text(
+        '#!/bin/sh\n[ "$1" = --version ] && echo slow && exit\ncase "$*" in *b.c*) exit 1;; esac\nsleep 300\n'
+    )
+    slow.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{os.environ['PATH']}")
+    true, failed = objects.subprocess.Popen, threading.Event()
+
+    def late(command: list[str], **more: object) -> object:
+        process = true(command, **more)
+        if "b.c" in command:
+            failed.set()
+        elif "--version" not in command:
+            failed.wait()
+            time.sleep(3 * interrupt.SLICE)
+        return process
+
+    monkeypatch.setattr(objects.subprocess, "Popen", late)
+    begun = time.monotonic()
+    with pytest.raises(CompileError):
+        compile(SOURCES, compiler="cc")
+    assert time.monotonic() - begun < 60

@@ -119,13 +119,14 @@ def _end_all() -> None:
 
 @dataclass(frozen=True)
 class _Work:
-    """A private folder with the sources; `root`: the cache, `running`: compilers that are at work."""
+    """A private folder with the sources; `root`: the cache, `running`: compilers that are at work, `over`: none is wanted any more."""
 
     root: Path
     folder: Path
     tools: Toolchain
     files: Mapping[str, bytes]
     running: list[subprocess.Popen[str]] = field(default_factory=list)
+    over: threading.Event = field(default_factory=threading.Event)
 
     def library(self, end: str, key: str) -> Path:
         """In the cache."""
@@ -155,10 +156,12 @@ class _Work:
                     if not waiting:
                         return [made[name] for name in names]
                     interrupt.check()
-            finally:
+            except BaseException:
                 pool.shutdown(wait=False, cancel_futures=True)
+                self.over.set()  # before the list is read: a compiler that is not in it yet ends itself
                 for process in [*self.running]:
                     _end(process)
+                raise
 
     def object(self, name: str) -> str:
         """The object of one source, in the folder: from the cache, else compiled and put there."""
@@ -184,6 +187,8 @@ class _Work:
             self.running.append(process)
             _ALL.add(process)
             try:
+                if self.over.is_set():
+                    _end(process)
                 _, said = process.communicate()
             except BaseException:
                 _end(process)
