@@ -13,6 +13,7 @@ from reference_tools import read
 from phfmu import (
     ELECTRICAL,
     PHDAE,
+    Anderson,
     Collocated,
     Coupled,
     EngineMember,
@@ -195,6 +196,17 @@ def turning(name: str) -> PHDAE:
         structure=(skew(theta, p, 1.0),), dissipation=(damping(psi, 0.1),),
         ports=(Port("terminal", ELECTRICAL, "effort", {psi: park}, 3),),
     )  # fmt: skip
+
+
+@pytest.mark.parametrize("stop", [0.51, pytest.param(5.0, marks=pytest.mark.slow)])
+def test_the_energy_of_a_rotor_does_not_excuse_what_a_junction_creates(stop: float) -> None:
+    """2e9 J in the rotor, 44 kJ through the terminal in a step, whose input jumps at 0.5 s: iterations that stall go on."""
+    scene = smib()
+    models = {name: build_model(replace(d, name=name)) for name, d in scene.system.members.items()}
+    members = [EngineMember(name, m, NativeInstance(m)) for name, m in models.items()]
+    result = run(Coupled(scene.system, members, Anderson()), Options(stop=stop, step=1e-4, events=scene.events))
+    assert result.ledger.summary().closed, result.ledger.summary().worst
+    assert result.iterations / result.steps <= 6.0
 
 
 def test_an_isolated_neutral_gets_no_impulses_composed_and_apart() -> None:

@@ -21,43 +21,41 @@ DRIVE = ("drive", "load.J=0.0005,0.001,0.002", ["load.w", "shaft.twist", "energy
 SHORT = ["--stop", "0.01", "--step", "0.0002"]
 
 
-def swept(folder: Path, target: str, vary: str, signals: list[str], *options: str, code: int = 0) -> dict[str, list]:
+def swept(folder: Path, target: str, vary: str, signals: list[str], *options: str) -> dict[str, list]:
     words = [w for s in signals for w in ("--measure", f"last({s})")]
     file = folder / "swept.parquet"
-    assert main(["sweep", target, "--vary", vary, *words, *options, "-o", str(file), "--quiet"]) == code
+    assert main(["sweep", target, "--vary", vary, *words, *options, "-o", str(file), "--quiet"]) == 0
     return pq.read_table(file).to_pydict()
 
 
-def ran(folder: Path, target: str, given: str, signals: list[str], *options: str, code: int = 0) -> list[float]:
+def ran(folder: Path, target: str, given: str, signals: list[str], *options: str) -> list[float]:
     file = folder / "one.parquet"
-    assert main(["run", target, "--set", given, *options, "-o", str(file), "--quiet"]) == code
+    assert main(["run", target, "--set", given, *options, "-o", str(file), "--quiet"]) == 0
     table = pq.read_table(file)
     return [table[s][-1].as_py() for s in signals]
 
 
 @pytest.mark.parametrize(
-    ("case", "options", "code"),
+    ("case", "options"),
     [
-        (SMIB, ("--coupling", "newton", "--order", "4"), 0),
-        (SMIB, ("--coupling", "anderson"), 4),
-        (SMIB, ("--parts", "line=2"), 0),
-        (DRIVE, ("--coupling", "gauss-seidel"), 0),
-        (DRIVE, ("--coupling", "jacobi"), 0),
-        (DRIVE, ("--coupling", "jacobi", "--ecco", "1e-3"), 0),
+        (SMIB, ("--coupling", "newton", "--order", "4")),
+        (SMIB, ("--coupling", "anderson")),
+        (SMIB, ("--parts", "line=2")),
+        (DRIVE, ("--coupling", "gauss-seidel")),
+        (DRIVE, ("--coupling", "jacobi")),
+        (DRIVE, ("--coupling", "jacobi", "--ecco", "1e-3")),
     ],
     ids=lambda o: " ".join(o) if isinstance(o, tuple) and o[0].startswith("--") else "",
 )
-def test_members_apart(case: tuple, options: tuple[str, ...], code: int, tmp_path: Path) -> None:
-    """Also their verdict: what junctions make of energy ends both with exit code 4."""
+def test_members_apart(case: tuple, options: tuple[str, ...], tmp_path: Path) -> None:
     target, vary, measured = case
     name = vary.partition("=")[0]
-    found = swept(tmp_path, target, vary, measured, *options, *SHORT, "--jobs", "2", code=code)
+    found = swept(tmp_path, target, vary, measured, *options, *SHORT, "--jobs", "2")
     assert len(found[name]) == 3 and set(found["error"]) == {""}
-    assert (max(found["ledger"]) > 1.0) == (code == 4)
+    assert max(found["ledger"]) <= 1.0
     for i, value in enumerate(found[name]):
         told = [found[f"last({s})"][i] for s in measured]
-        worst = 4 if found["ledger"][i] > 1.0 else 0
-        assert told == ran(tmp_path, target, f"{name}={value}", measured, *options, *SHORT, code=worst)
+        assert told == ran(tmp_path, target, f"{name}={value}", measured, *options, *SHORT)
     assert len({row for row in found["last(energy.stored)"]}) == 3
 
 

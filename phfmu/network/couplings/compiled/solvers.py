@@ -139,7 +139,8 @@ class AndersonSolver(_Remembering):
         values = {
             "plain": int(hidden_part(assembled(t.joined.C, ()), t.joined.face.nominal).nnz == 0), "most": most, "room": room,
             "begun": 0, "count": 0, "newest": 0, "count_before": 0, "newest_before": 0, "X": np.zeros((room, n)),
-            "F": np.zeros((room, n)), "size": np.zeros(n), "size_before": np.zeros(n), "xi": np.zeros(n), "f": np.zeros(n),
+            "F": np.zeros((room, n)), "size": np.zeros(n), "size_before": np.zeros(n), "from": np.zeros(n),
+            "xi": np.zeros(n), "f": np.zeros(n),
             "Q": np.zeros((most, n)), "R": np.zeros((most, most)), "c": np.zeros(most), "kept": np.zeros(most, np.int32),
         }  # fmt: skip
         own, nothing = t.memory.fill("ph_anderson", values), np.zeros(0)

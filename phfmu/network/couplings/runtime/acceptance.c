@@ -15,7 +15,7 @@ int ph_coupled_asks_energy(const ph_rules *r, const ph_progress *p) {
 }
 
 int ph_coupled_accepted(const ph_rules *r, const ph_progress *p, int floor, int left) {
-    if (p->stalled && p->matrices > 0 && floor)
+    if (p->stalled && ((p->matrices > 0 && floor) || p->resting))
         return PH_BY_FLOOR;
     if (left == PH_TOO_MUCH || (left == PH_WHERE_STALLED && !(r->held && p->stalled)))
         return PH_NOT_YET;

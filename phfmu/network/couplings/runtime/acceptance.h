@@ -25,12 +25,12 @@
 #define PH_COUPLED_STALLING 0.3
 
 /* Where held values stall, as many times the energy is accepted. */
-#define PH_COUPLED_STALLED 10
+#define PH_COUPLED_STALLED 100
 
 /* So many stalls within the energy, with a matrix taken after the first, and what is left is rounding. */
 #define PH_COUPLED_STALLS 3
 
-/* Units of rounding in a row that cannot be told from zero. */
+/* Units of rounding in a row or in a move of an unknown that cannot be told from zero. */
 #define PH_COUPLED_FLOOR 16
 
 /* So many steps tell what the continuation of the last one will miss. */
@@ -49,6 +49,7 @@ typedef struct ph_progress {
     int stalled;
     int stalls;
     int matrices;  /* that were taken */
+    int resting;   /* the unknowns of the last trial are those of the one before, but for rounding */
     double scaled; /* residual of the last trial */
 } ph_progress;
 

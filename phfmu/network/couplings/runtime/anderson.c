@@ -35,6 +35,7 @@ static void start(ph_master *m, int next) {
     a->count_before = a->count;
     a->newest_before = a->newest;
     memcpy(a->size_before, a->size, bytes(m->nxi));
+    memcpy(a->from, m->z, bytes(m->nxi));
 }
 
 static void drop(ph_master *m) {
@@ -42,6 +43,19 @@ static void drop(ph_master *m) {
     a->count = a->count_before;
     a->newest = a->newest_before;
     memcpy(a->size, a->size_before, bytes(m->nxi));
+}
+
+/* Without the differences of the steps before, which may have led away; of a step that began without there is
+ * no other way. */
+static int again(ph_master *m, int next) {
+    ph_anderson *a = m->memory;
+    (void)next;
+    if (a->count_before == 0)
+        return 0;
+    drop(m);
+    a->count = 0;
+    memcpy(m->z, a->from, bytes(m->nxi));
+    return 1;
 }
 
 /* One more difference of xi and of f = -move. */
@@ -135,6 +149,9 @@ static int move(ph_master *m, ph_progress *p, int left) {
         for (int i = 0; i < n; i++)
             m->z[i] -= (x[i] + f[i]) * a->c[k];
     }
+    p->resting = 1;
+    for (int i = 0; i < n; i++)
+        p->resting &= fabs(m->z[i] - a->xi[i]) <= PH_COUPLED_FLOOR * DBL_EPSILON * fabs(m->z[i]);
     ph_lap(m->clock, PH_JOINING);
     return ph_all_finite(m->z, n) ? PH_OK : PH_NOT_FINITE;
 }
@@ -194,6 +211,7 @@ const ph_solver *ph_solver_anderson(void) {
         .start = start,
         .take = ph_trial_take,
         .move = move,
+        .again = again,
         .drop = drop,
         .forget = forget,
         .remembered = remembered,

@@ -32,6 +32,7 @@ typedef struct ph_anderson {
     double *F;           /* room*n: of f */
     double *size;        /* n: of the unknowns */
     double *size_before; /* n: as the step began */
+    double *from;        /* n: unknowns as the step began */
     double *xi;          /* n: of the last trial */
     double *f;           /* n: of the last trial */
     double *Q;           /* most*n */

@@ -48,7 +48,7 @@ static int solve(ph_master *m, double t, double h, int again, int *by) {
             return status;
         note(m, &p, now.scaled);
         floor = p.stalled && p.matrices > 0 && ph_matrix_at_floor(m);
-        left = ph_coupled_asks_energy(rules, &p) ? ph_trial_left(m, &now) : PH_TOO_MUCH;
+        left = ph_coupled_asks_energy(rules, &p) ? ph_trial_left(m, &p, &now) : PH_TOO_MUCH;
         *by = ph_coupled_accepted(rules, &p, floor, left);
         if (*by != PH_NOT_YET)
             return PH_OK;

@@ -243,7 +243,7 @@ void ph_master_restore(ph_master *m);
 /* trial.c: S0 and sums before a step; a trial of all members at once; ph_energy_left of it. */
 int ph_trial_before(ph_master *m);
 PH_API int ph_trial_take(ph_master *m, double t, double h, int again, ph_trial *found);
-int ph_trial_left(ph_master *m, ph_trial *now);
+int ph_trial_left(ph_master *m, const ph_progress *p, ph_trial *now);
 int ph_all_finite(const double *values, int n);
 
 /* interface_matrix.c: derivatives of all rows of the last trial, factored; C alone; those of members as they

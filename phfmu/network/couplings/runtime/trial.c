@@ -75,11 +75,15 @@ int ph_trial_take(ph_master *m, double t, double h, int again, ph_trial *found) 
     return ph_all_finite(m->rows, n + 2 * nb) ? PH_OK : PH_NOT_FINITE;
 }
 
-/* How much energy the rows leave. Stored energies are asked for only where power does not do. */
-int ph_trial_left(ph_master *m, ph_trial *now) {
+/* How much energy the rows leave. Stored energies are asked for only where power does not do, and of an
+ * iteration without a matrix, which may stall on its way, only where rows are solved: a part of what a rotor
+ * stores is more than a line passes in a step. */
+int ph_trial_left(ph_master *m, const ph_progress *p, ph_trial *now) {
     const double budget = PH_COUPLED_ENERGY;
     if (now->left <= budget * now->through)
         return PH_WITHIN;
+    if (p->matrices == 0 && now->scaled > PH_COUPLED_ROUNDING)
+        now->in_play = now->through;
     if (now->in_play < 0.0) {
         double stored = 0.0;
         if (ph_shares_refresh(m))
