@@ -131,7 +131,8 @@ def unit(args: argparse.Namespace) -> Job:
     )
     for line in (*file.left_out, *instance.lacking):
         print(f"phfmu: {args.target}: {line}", file=sys.stderr)
-    return Job(fmu_scene(instance), f"FMI {instance.interface.version}", False, lambda: FMUStepper(instance))
+    words = ", ".join(w for w in (f"FMI {instance.interface.version}", instance.interface.scheme) if w)
+    return Job(fmu_scene(instance), words, False, lambda: FMUStepper(instance))
 
 
 def isolate_of(args: argparse.Namespace) -> float | None:

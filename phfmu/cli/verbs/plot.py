@@ -45,6 +45,7 @@ def call(args: argparse.Namespace) -> int:
     if args.events:
         drawn = with_marks(drawn, marks(read_history(args.events)), span)
     draw(drawn, args.output, size)
+    print(f"picture: {args.output}")
     for note in drawn.notes:
         print(note)
     return FINE
@@ -61,6 +62,7 @@ def _sweep(args: argparse.Namespace, size: tuple[int, int] | None) -> int:
         raise ValueError(f"{given[0]} is about the time of one run; {args.file} is the table of a sweep, leave it out")
     table = read_sweep(args.file).chosen(args.signals)
     draw_sweep(table, args.output, size)
+    print(f"picture: {args.output}")
     for note in table.notes:
         print(note)
     return FINE

@@ -122,6 +122,8 @@ def manifest(unit: Unit) -> bytes:
     for name, value in (("name", LAYER), ("version", VERSION), ("description", TEXT + OUTWARD * bool(unit.outward))):
         root.set(f"{{{_LS}}}fmi-ls-{name}", value)
     step = etree.SubElement(root, "Step", internalStepSize=number(unit.step))
+    step.set("scheme", unit.model.scheme.name)
+    step.set("order", str(unit.model.scheme.order))
     step.set("directionalDerivative", DERIVATIVE)
     step.set("failure", FAILURE)
     plan = unit.model.step
@@ -242,13 +244,19 @@ def _read_signals(root: Element, causality: str) -> dict[str, tuple[str, ...]]:
     return {plain(s.get("name", ""), limits.NAME): tuple(s.get("nodes", "").split()) for s in found}
 
 
+def _scheme(step: Element) -> str:
+    words = [plain(step.get("scheme", ""), limits.NAME), plain(step.get("order", ""), limits.NAME)]
+    return f"{words[0]}, order {words[1]}" if all(words) else ""
+
+
 def read_manifest(root: Element) -> dict[str, Any]:
-    """Ports, names of the energies, places and weights of the nodes, as `UnitInterface` has them."""
+    """Ports, names of the energies, the scheme with its order, places and weights of the nodes, as `UnitInterface` has them."""
     energy, step = root.find("Energy"), root.find("Step")
     places = [() if step is None else tuple(float(v) for v in step.get(k, "").split()) for k in ("nodes", "weights")]
     return {
         "ports": tuple(read_ports(root)),
         "energy": {} if energy is None else {str(k): str(v) for k, v in energy.attrib.items()},
+        "scheme": "" if step is None else _scheme(step),
         "nodes": places[0],
         "weights": places[1],
         "impulses": () if step is None else tuple(step.get("impulses", "").split()),
