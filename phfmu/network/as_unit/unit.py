@@ -76,6 +76,11 @@ class NetworkUnit(Unit):
                 f"{self.name}: its members are not all stepped by the compiled master, or exchange signals that are held over "
                 "a step; take --coupling newton, which exchanges them at nodes, or export it composed, without --as-unit"
             )
+        if found.solver not in SOLVER_FILES:
+            raise FMUError(
+                f"{self.name}: its coupling, {type(self.whole.coupling).__name__}, is a rule in Python, which a unit has "
+                "none of; take --coupling newton, anderson, gauss-seidel or jacobi"
+            )
         return found
 
     @property

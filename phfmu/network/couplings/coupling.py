@@ -86,8 +86,11 @@ class Starts(Protocol):
 
 @runtime_checkable
 class Moves(Protocol):
-    """A coupling that iterates, at most `iterations` times a step; without it the first trial is the step."""
+    """A coupling that repeats steps; without it the first trial is the step.
+
+    It iterates, at most `iterations` times a step, or takes each step `sweeps` times, the last of which is the step.
+    """
 
     def moved(self, joined: Joined, xi: Array, r: Array) -> Array:
-        """Junction unknowns of the next trial; xi, r: those of the last one and the rows that it left."""
+        """Junction unknowns of the next trial; xi, r: those of the last one and the rows that it left; members are at its end."""
         ...

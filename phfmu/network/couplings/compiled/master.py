@@ -400,7 +400,8 @@ class Master:
         return rows
 
     def _rules(self) -> dict[str, Any]:
-        return {"held": self._solver.held, "iterations": self._solver.iterations, "accept": self._keeps}
+        solver = self._solver
+        return {"held": solver.held, "iterations": solver.iterations, "sweeps": solver.sweeps, "accept": self._keeps}
 
     def _values(self) -> dict[str, Any]:
         e, p, n = self.found, self._pattern, self.found.size

@@ -58,6 +58,7 @@ class Solver(Protocol):
     name: str
     held: bool
     iterations: int
+    sweeps: int
     words: str
     fields: dict[str, Any]
 
@@ -77,7 +78,7 @@ class Solver(Protocol):
 class NewtonSolver:
     """`found`: unknowns of the last step;  `missed`: what the continuations of the last ones missed."""
 
-    name, iterations, words, failure = "newton", ITERATIONS, "interface Newton", None
+    name, iterations, sweeps, words, failure = "newton", ITERATIONS, 0, "interface Newton", None
 
     def __init__(self, coupling: Newton, t: Tables):
         self._coupling, self._t = coupling, t
@@ -108,6 +109,7 @@ class _Remembering:
     """What a solver in C goes on from, as it saves it: `ph_solver`."""
 
     _t: Tables
+    sweeps = 0
 
     def spread(self, xi: Array) -> Array:
         return xi
@@ -186,7 +188,8 @@ class CalledSolver:
 
     def __init__(self, coupling: Any, t: Tables):
         self._coupling, self._t = coupling, t
-        self.iterations = int(getattr(coupling, "iterations", ITERATIONS))
+        self.sweeps = int(getattr(coupling, "sweeps", 0))
+        self.iterations = self.sweeps or int(getattr(coupling, "iterations", ITERATIONS))
         self._rows, self.failure = np.zeros(t.found.size), None
         moves, starts = isinstance(coupling, Moves), isinstance(coupling, Starts)
         self.words = f"the interface iteration of {type(coupling).__name__}" if moves else ""

@@ -40,6 +40,7 @@
 typedef struct ph_rules {
     int held;
     int iterations;
+    int sweeps; /* so many trials are the step, whatever they leave; 0: these rules decide */
     int accept; /* of a step that does not converge the trial that left the least is kept */
 } ph_rules;
 

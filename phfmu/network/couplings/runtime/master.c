@@ -47,6 +47,8 @@ static int solve(ph_master *m, double t, double h, int again, int *by) {
         if (status || !solver->move)
             return status;
         note(m, &p, now.scaled);
+        if (p.trials == rules->sweeps)
+            return PH_OK;
         floor = p.stalled && p.matrices > 0 && ph_matrix_at_floor(m);
         left = ph_coupled_asks_energy(rules, &p) ? ph_trial_left(m, &p, &now) : PH_TOO_MUCH;
         *by = ph_coupled_accepted(rules, &p, floor, left);
