@@ -68,15 +68,19 @@ def methods() -> list[Method]:
 
 
 def targets(names: Sequence[str] = ()) -> Iterator[tuple[str, PHDAE]]:
-    """Components and scenes of the library, or those named, that have 1 to LARGEST states and no state events."""
+    """Components and scenes of the library that have 1 to LARGEST states and no state events, or those named.
+
+    ValueError for one that is named and has no states, or state events.
+    """
     from phfmu.components.library import LIBRARY, build
 
     for name in names or LIBRARY:
         found = build(name)
         declaration = found if isinstance(found, PHDAE) else found.declaration()
-        if 1 <= sum(v.n for v in declaration.states) <= LARGEST and not (
-            declaration.state_events or declaration.switches
-        ):
+        states, events = sum(v.n for v in declaration.states), declaration.state_events or declaration.switches
+        if names and (states == 0 or events):
+            raise ValueError(f"{name} has {'state events' if events else 'no states'}: no order of it is measured")
+        if states and not events and (names or states <= LARGEST):
             yield name, declaration
 
 
