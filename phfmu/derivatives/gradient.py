@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.derivatives.by import By
-from phfmu.derivatives.measured import RunMeasure, run_measures
+from phfmu.derivatives.measured import TIME, RunMeasure, run_measures
 from phfmu.derivatives.sensitive import SensitiveSteps
 from phfmu.derivatives.tangents import require_smooth
 from phfmu.derivatives.taped import MEMORY, TapedSteps
@@ -97,7 +97,8 @@ class Measured:
         if isinstance(self.stepper, TapedSteps):
             return self.stepper.slopes(weights)
         n = len(self.stepper.by.names)
-        found = [sum((c @ self.along[s] for s, c in w.items()), np.zeros(n)) for w in weights]
+        own = [{s: c for s, c in w.items() if s in self.along} for w in weights]
+        found = [sum((c @ self.along[s] for s, c in w.items()), np.zeros(n)) for w in own]
         return np.array(found).reshape(len(weights), n)
 
 
@@ -123,7 +124,8 @@ def measured(
     found = run(stepper, replace(options, every=None, signals=wanted), inputs=inputs)
     along = {}
     if not isinstance(stepper, TapedSteps):
-        along = {s: np.column_stack([found.column(derivative_name(s, n)) for n in names]) for s in signals}
+        moved = [TIME] if stepper.model.events is not None else []
+        along = {s: np.column_stack([found.column(derivative_name(s, n)) for n in names]) for s in moved + signals}
     return Measured(stepper, found.time, {n: found.column(n) for n in signals}, along)
 
 

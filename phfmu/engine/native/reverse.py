@@ -14,7 +14,7 @@ from phfmu.engine.native.code import Code, Functions
 from phfmu.engine.native.compiled import Made
 from phfmu.engine.native.library import Signatures, placed, typed, view
 from phfmu.engine.native.native import NativeInstance
-from phfmu.outcome.status import Status
+from phfmu.outcome.status import NoDerivative, Status
 from phfmu.plan.reverse import reverse, reverse_ledger
 
 Floats = NDArray[np.float64]
@@ -93,6 +93,15 @@ class NativeTape:
     def __exit__(self, *_: object) -> None:
         self._lib.ph_tape_on(self._instance.handle.instance, None, None, 0)
 
+    def taken(self, end: float) -> Floats:
+        """A copy of the parts that begin before `end`, which leave the tape."""
+        rows = self.rows
+        n = int(np.searchsorted(rows[:, 0], end))
+        found, left = rows[:n].copy(), len(rows) - n
+        self._rows[:left] = rows[n:].copy()
+        self._tape.n = left
+        return found
+
     @property
     def full(self) -> bool:
         """A part found no room."""
@@ -124,14 +133,6 @@ class RowBars:
 
     row: NDArray[np.int32]
     bar: Floats
-
-
-class NoDerivative(ValueError):
-    """A step at time `t` whose equations have none."""
-
-    def __init__(self, t: float):
-        super().__init__(f"the step at t = {t:.9g} s has no derivative: its equations depend on each other there")
-        self.t = t
 
 
 class NativeReverse:
