@@ -142,7 +142,7 @@ class EventMaps:
             given = group.kernel.function.sx_in()
             out = ca.densify(group.kernel.function.call(given)[0])
             slopes = ca.densify(ca.jacobian(out, ca.vertcat(*given)))
-            self._functions[key] = ca.Function("event", given, ca.cse([out, slopes]))
+            self._functions[key] = ca.Function("event", given, [ca.SX(r) for r in ca.cse([out, slopes])])
         sources = np.append(at.x, at.t), np.concatenate([at.a, at.u]), at.p
         tables = group.xi[i], group.yi[i], group.pi[i]
         out, slopes = self._functions[key](*(s[t] for s, t in zip(sources, tables, strict=True)))
@@ -191,7 +191,7 @@ class EventMaps:
         assert m is not None
         terms = np.abs(S) @ np.abs(m) + np.abs(goal)
         left = np.abs(np.where(acts, S.diagonal() * m, S @ m - goal)) <= EDGE * terms
-        if edge := [jumping[j] for j in np.flatnonzero(pushes & left[:n])]:
+        if edge := [jumping[j] for j in np.flatnonzero(pushes & left[:n]).tolist()]:
             raise self._none(t, edge, "the contact is at the edge between pushing and not")
         factor = factored(S, acts, n, least)
         assert factor is not None

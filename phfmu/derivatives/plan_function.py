@@ -53,7 +53,7 @@ class Response:
 
 
 class PlanFunction:
-    """F and T of a plan; `told` chooses from `Rows` what T is.  `moves`: derivatives by t and h follow those by the directions."""
+    """F and T of a plan; `told` chooses from `Rows` what T is.  `moves`: derivatives by t and h follow those by directions."""
 
     def __init__(self, plan: Plan, told: Callable[[Rows], ca.SX], directions: Directions, moves: bool = False):
         self.plan, self._rows, self._moves = plan, Rows(plan), moves

@@ -41,7 +41,7 @@ class SensitiveSteps(DerivedSteps):
 
     @property
     def columns(self) -> list[str]:
-        """Derivatives of the times of rows where these move, and the signals that are derived, each followed by its derivatives."""
+        """Derivatives of the times of rows where they move, and the signals that are derived, each followed by its own."""
         return self._times + [
             c for q in self.derived for c in (q.name, *(derivative_name(q.name, n) for n in self.by.names))
         ]
@@ -67,7 +67,8 @@ class SensitiveSteps(DerivedSteps):
         more: dict[str, SignalKind] = {
             derivative_name(q.name, n): own[q.name] for q in self.derived for n in self.by.names
         }
-        return own | more | {m: "observable" for m in self._times}
+        more |= dict.fromkeys(self._times, "observable")
+        return own | more
 
     # -- values ------------------------------------------------------------------------------------------------------
 
@@ -119,7 +120,7 @@ class SensitiveSteps(DerivedSteps):
     ) -> tuple[Steps | None, tuple[StepEvent, Array] | None]:
         part, layout, e, model = found.part, self.instance.layout, found.part.happened, self.model
         x, n, nx = found.x, len(part.t), model.step.nx
-        a, t = np.zeros(0), 0.0
+        a = np.zeros(0)
         if steps is not None:
             if len(found.rows) != n:
                 raise in_parts(model, float(part.t[0]), float(part.h.max()))

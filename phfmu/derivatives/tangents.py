@@ -5,9 +5,9 @@ The state has the tangents S = dx/dtheta (nx x directions).  A step x1 = x0 + U 
     S1 = S0 + U dw,     dw = W_x S0 + W_theta,
 
 and what is told of the step or at its end follows from them as the values do.  Instants of state events move too: steps that end
-or begin there have derivatives by their length and start besides, and rows there are told with the instant (`event_maps.py`).  The derivative is that of the solution of F, to
-the accuracy to which steps are solved.  Where hidden constraints hold at the start (currents that sum to zero, lengths), a
-parameter that is in them moves the start as `phfmu run --project` would.
+or begin there have derivatives by their length and start besides, and rows there are told with the instant (`event_maps.py`).
+The derivative is that of the solution of F, to the accuracy to which steps are solved.  Where hidden constraints hold at the
+start (currents that sum to zero, lengths), a parameter that is in them moves the start as `phfmu run --project` would.
 
 Source: implicit function theorem on the step; docs/understand/derivatives.md.
 """
