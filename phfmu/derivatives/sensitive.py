@@ -129,7 +129,7 @@ class SensitiveSteps(DerivedSteps):
             _, w, u = np.split(found.rows, cuts, axis=1)
             before = np.vstack([x[None], ends[:-1]])
             taken = Taken(part.t, part.h, before, ends, w, u, found.p, a_end)
-            rows = self._derived(self._tangents.over(taken, () if e is None else e.events))
+            rows = self._derived(self._tangents.over(taken, () if e is None else e.events, self._grid[0].h))
             self._row, x, a = rows[-1], ends[-1], a_end[-1]
             steps = replace(steps, signals=np.hstack([steps.signals, rows]))
         if e is not None and row is not None:

@@ -133,10 +133,10 @@ class Tangents:
             self.S[jump.moved] += jump.x @ self.S + np.outer(jump.t, self.T) + along
         return self._at_once(after.t, after.x, after.u, after.p, after.a)
 
-    def over(self, steps: Taken, landed: Sequence[int] = ()) -> dict[str, Array]:
+    def over(self, steps: Taken, landed: Sequence[int] = (), grid: float = 0.0) -> dict[str, Array]:
         """Blocks of the rows at the ends of steps that go on from those before: name -> (n x entries x names).
 
-        landed: guards that are zero at the end of the last one
+        landed: guards that are zero at the end of the last one;  grid: length of the steps that do not end on events
         """
         model, n, nx = self.model, len(steps.t), self.model.step.nx
         x, ahead = np.column_stack([steps.before, steps.t]), nx + self.by.directions.n
@@ -154,7 +154,7 @@ class Tangents:
                 rows[i] += np.outer(found.told[i, :, ahead] - found.told[i, :, ahead + 1], self.T)
             if landed and i == n - 1:
                 h = found.w[i, :, ahead + 1]
-                T[i] = self._landed(landed, steps, self.S + self._U @ w, self._U @ h)
+                T[i] = self._landed(landed, steps, grid, self.S + self._U @ w, self._U @ h)
                 w += np.outer(h, T[i])
                 rows[i] += np.outer(found.told[i, :, ahead + 1], T[i])
             self.S, self.T = self.S + self._U @ w, T[i]
@@ -174,7 +174,7 @@ class Tangents:
             self._sums[name] = sums[name][-1]
         return self._with_sums(blocks, sums)
 
-    def _landed(self, guards: Sequence[int], steps: Taken, S: Array, rate: Array) -> Array:
+    def _landed(self, guards: Sequence[int], steps: Taken, grid: float, S: Array, rate: Array) -> Array:
         """Tangent (names) of the end of the last step, where guards are zero: tangents of the states for a given length, and
         their rates by it.  NoDerivative."""
         assert self.events is not None
@@ -185,7 +185,7 @@ class Tangents:
         for i in guards:
             g = self.events.guard(i, at)
             own = float(g.x @ rate) + g.t
-            self.events.require_crossing(i, at.t, own, float(steps.h.max()))
+            self.events.require_crossing(i, at.t, own, grid)
             found.append(-(g.x @ S + self.by.spread(g.along) * self._acts) / own)
         self.events.require_together(at.t, guards, np.array(found), self._sizes)
         return found[0]
