@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,8 @@ from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.network.couplings.stepper import Landing
 from phfmu.network.members.inputs import Inputs
 from phfmu.network.scene import Event
-from phfmu.outcome.steps import Landed, StepEvent, Steps
+from phfmu.outcome.limits import LIMITS
+from phfmu.outcome.steps import Happened, Landed, StepEvent, Steps
 from phfmu.schemes.scheme import Scheme
 
 Array = NDArray[np.float64]
@@ -62,8 +64,8 @@ class DerivedSteps(Monolithic):
         #: states after the last step, None before the first one
         self._last: Array | None = None
         maps = None if model.events is None else EventMaps(model, model.events, self.by.directions)
-        #: derivatives of state events
-        self.maps = maps
+        #: derivatives of state events, and those that happened
+        self.maps, self.met = maps, list[Happened]()
         #: states that the start was given, before a projection
         self._given = instance.x[: model.step.nx].copy()
 
@@ -92,7 +94,35 @@ class DerivedSteps(Monolithic):
         i.initialise()
         self._rebook()
         self._given, self._last = x, None
+        self.met = []
         self.forget()
+
+    @property
+    def sequence(self) -> tuple[tuple[int, ...], ...]:
+        """Numbers of the state events of the run, one instant after the other."""
+        return tuple(e.events for e in self.met)
+
+    def notes(self) -> list[str]:
+        """State events whose sequence other values, however close, may change: derivatives are those of what happened."""
+        if self.maps is None or not self.met:
+            return []
+        found, (grid, _) = [], self._grid
+        names, near = self.maps.plan.names, LIMITS["PILE_UP"] * grid.h
+        for e in self.met:
+            if e.rests:
+                piled, many = " and ".join(names[i] for i in e.rests), sum(set(e.rests) <= set(m.events) for m in self.met)
+                found.append(
+                    f"{piled} at t = {e.t:.9g} s: events pile up and end there; derivatives are those of the {many} that "
+                    "happened, of which other values have more or fewer"
+                )
+        for e, other in pairwise(self.met):
+            if 0.0 < other.t - e.t < near and set(e.events) != set(other.events):
+                one, two = (" and ".join(names[i] for i in m.events) for m in (e, other))
+                found.append(
+                    f"{one} at t = {e.t:.9g} s and {two} {other.t - e.t:.2g} s later: with other values they may happen in "
+                    "another order, which derivatives do not know"
+                )
+        return found
 
     def forget(self) -> None:
         """What was kept of the steps so far belongs to another run."""
@@ -156,6 +186,7 @@ class DerivedSteps(Monolithic):
                 if tape.full:
                     raise in_parts(self.model, float(t[0]), self._grid[0].h)
                 rows = tape.taken(end_of(t, h))
+                self.met += [] if happened is None else [happened]
                 after = p if happened is None else self.maps.after(p, happened.events, happened.rests)
                 more = self.follow_landed(LandedSteps(part, x, rows, u, p, after), steps, row)
                 x = x if not len(t) else part.rows["signals"][-1, place]

@@ -38,13 +38,17 @@ LINEARISED, NAMED = 50, 2
 
 @dataclass(frozen=True)
 class Gradient:
-    """Values of the measures, and their derivatives `slopes` (measures x names); `mode`: forward or reverse."""
+    """Values of the measures, and their derivatives `slopes` (measures x names); `mode`: forward or reverse.
+
+    notes: where the sequence of state events, of which these are the derivatives, is close to another one
+    """
 
     measures: tuple[str, ...]
     names: tuple[str, ...]
     values: Array
     slopes: Array
     mode: str
+    notes: tuple[str, ...] = ()
 
     def by(self, measure: str, name: str) -> float:
         """One derivative; ValueError for a measure or name that was not asked for."""
@@ -75,7 +79,8 @@ def gradient(
     chosen = chosen_mode(mode, instance, len(wanted), len(names))
     found = measured(stepper_of(chosen, model, instance, by, wanted, memory), options, wanted, inputs)
     slopes = found.slopes([m.weights(found.time, found.columns) for m in wanted])
-    return Gradient(tuple(map(str, wanted)), names, found.values(wanted), slopes, chosen)
+    notes = tuple(found.stepper.notes())
+    return Gradient(tuple(map(str, wanted)), names, found.values(wanted), slopes, chosen, notes)
 
 
 @dataclass(frozen=True)
