@@ -23,13 +23,18 @@ class Between:
         k = np.clip(np.searchsorted(rows, t + close, "right") - 1, 0, max(len(rows) - 2, 0))
         after = np.minimum(k + 1, len(rows) - 1)
         width = np.where(rows[after] > rows[k], rows[after] - rows[k], 1.0)
-        self._k, self._after, self._n = k, after, len(rows)
+        self._k, self._after, self._n, self._width = k, after, len(rows), width
         self._part = np.clip((t - rows[k]) / width, 0.0, 1.0)
         self.between = int(np.sum((self._part > 1e-6) & (self._part < 1 - 1e-6)))
 
     def of(self, values: Array) -> Array:
         """Values there (m) from those of the rows (n)."""
         return values[self._k] + self._part * (values[self._after] - values[self._k])
+
+    def slopes(self, values: Array) -> Array:
+        """Slopes (m) of the lines through values of the rows (n); where times T of the rows move, values there move by
+        of(dy) - slopes(y) of(dT)."""
+        return (values[self._after] - values[self._k]) / self._width
 
     def back(self, bars: Array) -> Array:
         """Derivatives of a number by the values of the rows (n), from those by the values there (m)."""

@@ -66,6 +66,14 @@ class By:
         """The names that `name` means, a vector all its entries."""
         return [n for n in self.names if n == name or n.partition("[")[0] == name]
 
+    def sizes(self, x: Array, u: Array, p: Array) -> Array:
+        """Magnitudes of the values (names) that a run is derived by, 1 of those that are 0."""
+        found, d = np.zeros(len(self.names)), self.directions
+        for state, column in self.starts:
+            found[column] = x[state]
+        found[list(self.columns)] = np.concatenate([p[list(d.parameters)], u[list(d.inputs)]])
+        return np.where(found == 0.0, 1.0, np.abs(found))
+
     def spread(self, along: Array) -> Array:
         """Derivatives by the directions (.. x directions) as such by all names (.. x names)."""
         found = np.zeros((*along.shape[:-1], len(self.names)))

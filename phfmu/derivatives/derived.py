@@ -2,22 +2,54 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.derivatives.by import By
+from phfmu.derivatives.event_maps import EventMaps
+from phfmu.derivatives.tangents import in_parts
 from phfmu.discretise.model import Model
 from phfmu.discretise.start import Projection
+from phfmu.engine.native.reverse import NativeTape
+from phfmu.engine.record import Grid
 from phfmu.network.couplings.monolithic import Monolithic
+from phfmu.network.couplings.stepper import Landing
 from phfmu.network.members.inputs import Inputs
 from phfmu.network.scene import Event
-from phfmu.outcome.steps import Steps
+from phfmu.outcome.limits import LIMITS
+from phfmu.outcome.steps import Happened, Landed, StepEvent, Steps
 from phfmu.schemes.scheme import Scheme
 
 Array = NDArray[np.float64]
+
+#: parts of steps that a tape takes beside the grid steps asked for: those around events, and those that are tried
+ROOM = 1024
+
+
+@dataclass(frozen=True)
+class LandedSteps:
+    """A part of a run with state events: steps under the same parameters, perhaps none, and what happened at their end.
+
+    x: states at the start (nx);  rows: of their tape;  u, p: inputs (nu) and parameters before, `after`: parameters (np) after
+    what happened
+    """
+
+    part: Landed
+    x: Array
+    rows: Array
+    u: Array
+    p: Array
+    after: Array
+
+
+def end_of(t: Array, h: Array) -> float:
+    """A time before the end of the last of some steps, and behind the start of all parts of it; before everything for none."""
+    return float(t[-1] + (1 - 1e-9) * h[-1]) if len(t) else -np.inf
 
 
 class DerivedSteps(Monolithic):
@@ -31,6 +63,9 @@ class DerivedSteps(Monolithic):
         self.by = By.of(model.declaration, by)
         #: states after the last step, None before the first one
         self._last: Array | None = None
+        maps = None if model.events is None else EventMaps(model, model.events, self.by.directions)
+        #: derivatives of state events, and those that happened
+        self.maps, self.met = maps, list[Happened]()
         #: states that the start was given, before a projection
         self._given = instance.x[: model.step.nx].copy()
 
@@ -59,7 +94,35 @@ class DerivedSteps(Monolithic):
         i.initialise()
         self._rebook()
         self._given, self._last = x, None
+        self.met = []
         self.forget()
+
+    @property
+    def sequence(self) -> tuple[tuple[int, ...], ...]:
+        """Numbers of the state events of the run, one instant after the other."""
+        return tuple(e.events for e in self.met)
+
+    def notes(self) -> list[str]:
+        """State events whose sequence other values, however close, may change: derivatives are those of what happened."""
+        if self.maps is None or not self.met:
+            return []
+        found, (grid, _) = [], self._grid
+        names, near = self.maps.plan.names, LIMITS["PILE_UP"] * grid.h
+        for e in self.met:
+            if e.rests:
+                piled, many = " and ".join(names[i] for i in e.rests), sum(set(e.rests) <= set(m.events) for m in self.met)
+                found.append(
+                    f"{piled} at t = {e.t:.9g} s: events pile up and end there; derivatives are those of the {many} that "
+                    "happened, of which other values have more or fewer"
+                )
+        for e, other in pairwise(self.met):
+            if 0.0 < other.t - e.t < near and set(e.events) != set(other.events):
+                one, two = (" and ".join(names[i] for i in m.events) for m in (e, other))
+                found.append(
+                    f"{one} at t = {e.t:.9g} s and {two} {other.t - e.t:.2g} s later: with other values they may happen in "
+                    "another order, which derivatives do not know"
+                )
+        return found
 
     def forget(self) -> None:
         """What was kept of the steps so far belongs to another run."""
@@ -85,14 +148,57 @@ class DerivedSteps(Monolithic):
 
     def advance_with(self, inputs: Sequence[tuple[int, Event]], t0: float, h: float, n: int, first: int = 0) -> Steps:
         """As of `Monolithic`; ValueError where an input changes that is derived by."""
+        self._require_constant([e.name for _, e in inputs])
+        return super().advance_with(inputs, t0, h, n, first)
+
+    def _require_constant(self, names: Sequence[str]) -> None:
+        """ValueError where names that change, or follow data, are derived by."""
         followed = () if self.followed is None else self.followed.names
-        for name in dict.fromkeys([*(e.name for _, e in inputs), *followed]):
+        for name in dict.fromkeys([*names, *followed]):
             if clash := self.by.among(name):
                 raise ValueError(
                     f"{self.model.name}: {clash[0]} is set within the run, by an event or by data, so that there is no one "
                     "value of it to be derived by"
                 )
-        return super().advance_with(inputs, t0, h, n, first)
+
+    # -- steps with state events -------------------------------------------------------------------------------------
+
+    def landed(self, instance: Any, grid: Grid, changed: bool) -> Iterator[Landing]:
+        self._require_constant(())
+        self.require_continued(grid.start(0))
+        self._grid = grid, changed
+        yield from super().landed(instance, grid, changed)
+
+    def landings(self, instance: Any, before: Array, parts: Iterable[Landed]) -> Iterator[Landing]:
+        """As of `Monolithic`; each part has been handed to `follow_landed`, which adds to its rows."""
+        assert self.maps is not None
+        p, u, current = instance.parameters.copy(), instance.held_input.copy(), list[Landed]()
+        place, x = instance.layout["x"], instance.x[: self.model.step.nx].copy()
+
+        def kept() -> Iterator[Landed]:
+            for part in parts:
+                current[:] = [part]
+                yield part
+
+        with NativeTape(instance, self._grid[0].n + ROOM) as tape:
+            for t, h, steps, row in super().landings(instance, before, kept()):
+                part, happened = current[0], current[0].happened
+                if tape.full:
+                    raise in_parts(self.model, float(t[0]), self._grid[0].h)
+                rows = tape.taken(end_of(t, h))
+                self.met += [] if happened is None else [happened]
+                after = p if happened is None else self.maps.after(p, happened.events, happened.rests)
+                more = self.follow_landed(LandedSteps(part, x, rows, u, p, after), steps, row)
+                x = x if not len(t) else part.rows["signals"][-1, place]
+                x, p = x if happened is None else happened.signals[place], after
+                self._last = x.copy()
+                yield t, h, *more
+
+    def follow_landed(
+        self, found: LandedSteps, steps: Steps | None, row: tuple[StepEvent, Array] | None
+    ) -> tuple[Steps | None, tuple[StepEvent, Array] | None]:
+        """Steps and the row after an event, with what derivatives add to them."""
+        raise NotImplementedError
 
     def require_continued(self, t: float) -> None:
         """ValueError where states were moved between two steps."""

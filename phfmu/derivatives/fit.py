@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from phfmu.declare.parameter_limits import limits
 from phfmu.derivatives.between import Between
+from phfmu.derivatives.measured import TIME
 from phfmu.derivatives.sensitive import SensitiveSteps
 from phfmu.discretise.model import Model
 from phfmu.outcome.status import StepFailure
@@ -57,6 +58,7 @@ class Fit:
     residual: weighted root mean square, which is 1 where weights are standard deviations of noise
     correlation (n x n): of the estimates;  undetermined: directions that the data do not tell, as name -> share
     iterations, runs: of the least squares;  message: why they ended
+    sequences: how many sequences of state events the runs had; where one follows another, residuals have a kink
     misfit: signal -> lag-one correlation of residuals, where it is more than noise has
     curves: per experiment and signal times, data and model;  units: of the signals
     """
@@ -76,6 +78,7 @@ class Fit:
     between: int
     free: tuple[str, ...]
     units: dict[str, str]
+    sequences: int = 1
 
 
 def fit(
@@ -150,6 +153,7 @@ class _Problem:
         self._weights = self._sizes(weights)
         self._known: tuple[bytes, list[Curves]] | None = None
         self.runs, self._between, self._why = 0, 0, ""
+        self._sequences: list[set[Any]] = [set() for _ in experiments]
         self._options = [replace(e.options, signals=self.stepper.columns, audited=False) for e in experiments]
 
     def _sizes(self, given: Mapping[str, float]) -> dict[str, float]:
@@ -239,11 +243,15 @@ class _Problem:
                 for m in measured
             ]
         found = []
+        self._sequences[i].add(s.sequence)
+        moved = [result.column(derivative_name(TIME, n)) for n in self.free] if self.model.events is not None else None
         for m in measured:
             t = e.data.time[there[m]]
             at = Between(result.time, t, "measurements", "; give --stop")
             self._between = max(self._between, at.between)
             slope = np.column_stack([at.of(result.column(derivative_name(m, n))) for n in self.free])
+            if moved is not None:
+                slope -= at.slopes(result.column(m))[:, None] * np.column_stack([at.of(T) for T in moved])
             found.append((t, m, e.data.column(m)[there[m]], at.of(result.column(m)), slope))
         return found
 
@@ -271,7 +279,7 @@ class _Problem:
             dict(zip(names, theta.tolist(), strict=True)), dict(zip(names, errors.tolist(), strict=True)),
             _rms(best.fun), residuals, correlation, tuple(_shares(v, names) for v in V[~told]), sizes, int(best.nfev),
             self.runs, str(best.message), _correlated(by_signal), tuple(curves), self._between, names,
-            {m: u for m, u in self.stepper.units.items() if m in residuals},
+            {m: u for m, u in self.stepper.units.items() if m in residuals}, max(map(len, self._sequences)),
         )  # fmt: skip
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.derivatives.by import By
-from phfmu.derivatives.measured import RunMeasure, run_measures
+from phfmu.derivatives.measured import TIME, RunMeasure, run_measures
 from phfmu.derivatives.sensitive import SensitiveSteps
 from phfmu.derivatives.tangents import require_smooth
 from phfmu.derivatives.taped import MEMORY, TapedSteps
@@ -38,13 +38,17 @@ LINEARISED, NAMED = 50, 2
 
 @dataclass(frozen=True)
 class Gradient:
-    """Values of the measures, and their derivatives `slopes` (measures x names); `mode`: forward or reverse."""
+    """Values of the measures, and their derivatives `slopes` (measures x names); `mode`: forward or reverse.
+
+    notes: where the sequence of state events, of which these are the derivatives, is close to another one
+    """
 
     measures: tuple[str, ...]
     names: tuple[str, ...]
     values: Array
     slopes: Array
     mode: str
+    notes: tuple[str, ...] = ()
 
     def by(self, measure: str, name: str) -> float:
         """One derivative; ValueError for a measure or name that was not asked for."""
@@ -75,7 +79,8 @@ def gradient(
     chosen = chosen_mode(mode, instance, len(wanted), len(names))
     found = measured(stepper_of(chosen, model, instance, by, wanted, memory), options, wanted, inputs)
     slopes = found.slopes([m.weights(found.time, found.columns) for m in wanted])
-    return Gradient(tuple(map(str, wanted)), names, found.values(wanted), slopes, chosen)
+    notes = tuple(found.stepper.notes())
+    return Gradient(tuple(map(str, wanted)), names, found.values(wanted), slopes, chosen, notes)
 
 
 @dataclass(frozen=True)
@@ -97,7 +102,8 @@ class Measured:
         if isinstance(self.stepper, TapedSteps):
             return self.stepper.slopes(weights)
         n = len(self.stepper.by.names)
-        found = [sum((c @ self.along[s] for s, c in w.items()), np.zeros(n)) for w in weights]
+        own = [{s: c for s, c in w.items() if s in self.along} for w in weights]
+        found = [sum((c @ self.along[s] for s, c in w.items()), np.zeros(n)) for w in own]
         return np.array(found).reshape(len(weights), n)
 
 
@@ -123,7 +129,8 @@ def measured(
     found = run(stepper, replace(options, every=None, signals=wanted), inputs=inputs)
     along = {}
     if not isinstance(stepper, TapedSteps):
-        along = {s: np.column_stack([found.column(derivative_name(s, n)) for n in names]) for s in signals}
+        moved = [TIME] if stepper.model.events is not None else []
+        along = {s: np.column_stack([found.column(derivative_name(s, n)) for n in names]) for s in moved + signals}
     return Measured(stepper, found.time, {n: found.column(n) for n in signals}, along)
 
 

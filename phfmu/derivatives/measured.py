@@ -28,6 +28,9 @@ from phfmu.sweeps.measures import NUMBERS, mean, measures
 Array = NDArray[np.float64]
 Columns = Mapping[str, Array]
 
+#: the times of rows among the weights of a measure
+TIME = "time"
+
 
 class RunMeasure(Protocol):
     """A number of a run: of the times (n) of its rows and of columns (n) of the signals it reads."""
@@ -36,7 +39,7 @@ class RunMeasure(Protocol):
     def signals(self) -> tuple[str, ...]: ...
     def value(self, t: Array, columns: Columns) -> float: ...
     def weights(self, t: Array, columns: Columns) -> dict[str, Array]:
-        """Derivative of the number by each row (n) of each signal."""
+        """Derivative of the number by each row (n) of each signal, and by the times of rows (`TIME`), which move at events."""
         ...
 
 
@@ -137,6 +140,26 @@ def _peak(v: Array) -> int:
 
 #: kind -> the number, of times and values
 KINDS: dict[str, Callable[[Array, Array], float]] = NUMBERS | {"integral": lambda t, v: float(np.trapezoid(v, t))}
+
+
+def _of_moved(t: Array, v: Array) -> Array:
+    """Derivative of the integral by the time of each row; the first and the last one do not move."""
+    found = np.zeros_like(v)
+    found[1:-1] = (v[:-2] - v[2:]) / 2.0
+    return found
+
+
+def _of_moved_rms(t: Array, v: Array) -> Array:
+    size = np.sqrt(mean(t, v * v))
+    return _of_moved(t, v * v) / (2.0 * size * (t[-1] - t[0])) if size else np.zeros_like(v)
+
+
+#: kind -> its derivative by the time of each row, of those that follow from it
+BY_TIME: dict[str, Callable[[Array, Array], Array]] = {
+    "mean": lambda t, v: _of_moved(t, v) / (t[-1] - t[0]),
+    "rms": _of_moved_rms,
+    "integral": _of_moved,
+}
 #: kind -> its derivative by each row, of those that have one
 WEIGHTS: dict[str, Callable[[Array, Array], Array]] = {
     "first": lambda t, v: _one(0, len(v)),
@@ -170,7 +193,8 @@ class Rows:
     def weights(self, t: Array, columns: Columns) -> dict[str, Array]:
         values, slopes = self.of.over(columns)
         own = WEIGHTS[self.kind](t, values)
-        return {n: own * slopes[:, i] for i, n in enumerate(self.of.signals)}
+        moved = {TIME: BY_TIME[self.kind](t, values)} if self.kind in BY_TIME else {}
+        return moved | {n: own * slopes[:, i] for i, n in enumerate(self.of.signals)}
 
 
 @dataclass(frozen=True)
@@ -192,9 +216,13 @@ class At:
         return float(values[-1]) if self.t is None else float(Between(t, np.array([self.t])).of(values)[0])
 
     def weights(self, t: Array, columns: Columns) -> dict[str, Array]:
-        slopes = self.of.over(columns)[1]
-        own = _one(-1, len(t)) if self.t is None else Between(t, np.array([self.t])).back(np.ones(1))
-        return {n: own * slopes[:, i] for i, n in enumerate(self.of.signals)}
+        values, slopes = self.of.over(columns)
+        if self.t is None:
+            own, moved = _one(-1, len(t)), {}
+        else:
+            between = Between(t, np.array([self.t]))
+            own, moved = between.back(np.ones(1)), {TIME: between.back(-between.slopes(values))}
+        return moved | {n: own * slopes[:, i] for i, n in enumerate(self.of.signals)}
 
 
 @dataclass(frozen=True)
@@ -218,7 +246,8 @@ class SumOfSquares:
 
     def weights(self, t: Array, columns: Columns) -> dict[str, Array]:
         between, misfit = self._misfit(t, columns)
-        return {self.signal: 2.0 * between.back(misfit) / self.weight}
+        bars = 2.0 * misfit / self.weight
+        return {self.signal: between.back(bars), TIME: between.back(-bars * between.slopes(columns[self.signal]))}
 
     def _misfit(self, t: Array, columns: Columns) -> tuple[Between, Array]:
         there = np.isfinite(np.asarray(self.data, float))

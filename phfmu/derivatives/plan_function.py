@@ -45,17 +45,18 @@ class Point:
 
 @dataclass(frozen=True)
 class Response:
-    """Per point: dw (n x nw x nx + directions), the derivative of what is told (n x told x nx + directions)."""
+    """Per point: dw (n x nw x nx + directions), the derivative of what is told (n x told x nx + directions); where instants move
+    two more columns, by t and h."""
 
     w: Array
     told: Array
 
 
 class PlanFunction:
-    """F and T of a plan; `told` chooses from `Rows` what T is."""
+    """F and T of a plan; `told` chooses from `Rows` what T is.  `moves`: derivatives by t and h follow those by directions."""
 
-    def __init__(self, plan: Plan, told: Callable[[Rows], ca.SX], directions: Directions):
-        self.plan, self._rows = plan, Rows(plan)
+    def __init__(self, plan: Plan, told: Callable[[Rows], ca.SX], directions: Directions, moves: bool = False):
+        self.plan, self._rows, self._moves = plan, Rows(plan), moves
         self._told, self._directions = told(self._rows), directions
         self.ntold = self._told.numel()
 
@@ -72,6 +73,7 @@ class PlanFunction:
         def by(expr: ca.SX) -> ca.SX:
             columns = [ca.jacobian(expr, r.x[: plan.nx]), ca.jacobian(expr, r.p[list(d.parameters)])]
             columns += [ca.sum2(ca.jacobian(expr, u)) for u in held]
+            columns += [ca.jacobian(expr, v) for v in (r.x[plan.nx], r.h)] if self._moves else []
             return ca.horzcat(*columns)
 
         F, T = r.residual, self._told
@@ -84,7 +86,7 @@ class PlanFunction:
     def response(self, at: Point) -> Response:
         """Derivatives of the solution w at each point, and of what is told of it."""
         plan, n = self.plan, len(at.h)
-        width = plan.nx + self._directions.n
+        width = plan.nx + self._directions.n + 2 * self._moves
         w, told = np.zeros((n, plan.nw, width)), np.zeros((n, self.ntold, width))
         size = max(1, plan.nw * (min(plan.nw, FULL) + width) + self.ntold * (plan.nw + width))
         for some in _parts(n, max(1, ROOM // size)):

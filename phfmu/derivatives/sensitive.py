@@ -9,10 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.derivatives.derived import DerivedSteps
-from phfmu.derivatives.tangents import Taken, Tangents, of_quantities
+from phfmu.derivatives.derived import DerivedSteps, LandedSteps
+from phfmu.derivatives.event_maps import Instant
+from phfmu.derivatives.measured import TIME
+from phfmu.derivatives.tangents import Taken, Tangents, in_parts, of_quantities
 from phfmu.discretise.model import Model
-from phfmu.outcome.steps import Steps
+from phfmu.outcome.steps import StepEvent, Steps
 from phfmu.signals import Quantity, SignalKind, derivative_name, quantities
 
 Array = NDArray[np.float64]
@@ -30,14 +32,19 @@ class SensitiveSteps(DerivedSteps):
         known = {q.name: q for q in quantities(model)}
         self.derived: list[Quantity] = [known[n] for n in self.names if signals is None or n in signals]
         self._tangents = Tangents(model, self.by)
-        self.names = [*self.names, *(derivative_name(q.name, n) for q in self.derived for n in self.by.names)]
+        #: the times of rows move at state events
+        self._times = [] if model.events is None else [derivative_name(TIME, n) for n in self.by.names]
+        own = [derivative_name(q.name, n) for q in self.derived for n in self.by.names]
+        self.names = [*self.names, *self._times, *own]
         #: derivatives of the last row
         self._row = np.zeros(0)
 
     @property
     def columns(self) -> list[str]:
-        """Names of the signals that are derived, each followed by its derivatives."""
-        return [c for q in self.derived for c in (q.name, *(derivative_name(q.name, n) for n in self.by.names))]
+        """Derivatives of the times of rows where they move, and the signals that are derived, each followed by its own."""
+        return self._times + [
+            c for q in self.derived for c in (q.name, *(derivative_name(q.name, n) for n in self.by.names))
+        ]
 
     def forget(self) -> None:
         self._tangents.reset()
@@ -47,7 +54,8 @@ class SensitiveSteps(DerivedSteps):
         own = super().units
         d = self.model.declaration
         given = super().units | {n: v.unit for v in (*d.parameters, *d.states) for n in v.names()}
-        return own | {
+        moved = {m: _quotient("s", given.get(n, "1")) for m, n in zip(self._times, self.by.names, strict=False)}
+        return (own | moved) | {
             derivative_name(q.name, n): _quotient(own.get(q.name, "1"), given.get(n, "1"))
             for q in self.derived
             for n in self.by.names
@@ -59,6 +67,7 @@ class SensitiveSteps(DerivedSteps):
         more: dict[str, SignalKind] = {
             derivative_name(q.name, n): own[q.name] for q in self.derived for n in self.by.names
         }
+        more |= dict.fromkeys(self._times, "observable")
         return own | more
 
     # -- values ------------------------------------------------------------------------------------------------------
@@ -79,7 +88,8 @@ class SensitiveSteps(DerivedSteps):
     def _derived(self, blocks: dict[str, Array]) -> Array:
         """The derivative columns of rows (n x columns)."""
         found = of_quantities(self.derived, blocks, self.by)
-        return found.reshape(len(found), -1)
+        found = found.reshape(len(found), -1)
+        return np.hstack([blocks["t"][:, 0], found]) if self._times else found
 
     # -- steps -------------------------------------------------------------------------------------------------------
 
@@ -104,6 +114,31 @@ class SensitiveSteps(DerivedSteps):
         self._last, self._row = steps.after[-1].copy(), rows[-1]
         found = self.steps_of(instance, r)
         return replace(found, signals=np.hstack([found.signals, rows]))
+
+    def follow_landed(
+        self, found: LandedSteps, steps: Steps | None, row: tuple[StepEvent, Array] | None
+    ) -> tuple[Steps | None, tuple[StepEvent, Array] | None]:
+        part, layout, e, model = found.part, self.instance.layout, found.part.happened, self.model
+        x, n, nx = found.x, len(part.t), model.step.nx
+        a = np.zeros(0)
+        if steps is not None:
+            if len(found.rows) != n:
+                raise in_parts(model, float(part.t[0]), float(part.h.max()))
+            ends, a_end = (part.rows["signals"][:, layout[block]] for block in ("x", "a_end"))
+            cuts = np.cumsum([2 + nx, model.step.nw])
+            _, w, u = np.split(found.rows, cuts, axis=1)
+            before = np.vstack([x[None], ends[:-1]])
+            taken = Taken(part.t, part.h, before, ends, w, u, found.p, a_end)
+            rows = self._derived(self._tangents.over(taken, () if e is None else e.events, self._grid[0].h))
+            self._row, x, a = rows[-1], ends[-1], a_end[-1]
+            steps = replace(steps, signals=np.hstack([steps.signals, rows]))
+        if e is not None and row is not None:
+            x_after, a_after = e.signals[layout["x"]], e.signals[layout["a_end"]]
+            old = Instant(e.t, x, a, found.u, found.after)
+            new = Instant(e.t, x_after, a_after, found.u, found.after)
+            self._row = self._derived(self._tangents.happened(old, new, e.events, e.rests))[0]
+            row = row[0], np.concatenate([row[1], self._row])
+        return steps, row
 
 
 def _quotient(over: str, under: str) -> str:

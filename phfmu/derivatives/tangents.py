@@ -4,9 +4,10 @@ The state has the tangents S = dx/dtheta (nx x directions).  A step x1 = x0 + U 
 
     S1 = S0 + U dw,     dw = W_x S0 + W_theta,
 
-and what is told of the step or at its end follows from them as the values do.  The derivative is that of the solution of F, to
-the accuracy to which steps are solved.  Where hidden constraints hold at the start (currents that sum to zero, lengths), a
-parameter that is in them moves the start as `phfmu run --project` would.
+and what is told of the step or at its end follows from them as the values do.  Instants of state events move too: steps that end
+or begin there have derivatives by their length and start besides, and rows there are told with the instant (`event_maps.py`).
+The derivative is that of the solution of F, to the accuracy to which steps are solved.  Where hidden constraints hold at the
+start (currents that sum to zero, lengths), a parameter that is in them moves the start as `phfmu run --project` would.
 
 Source: implicit function theorem on the step; docs/understand/derivatives.md.
 """
@@ -22,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.derivatives.by import By, start_tangents_by
+from phfmu.derivatives.event_maps import EventMaps, Instant
 from phfmu.derivatives.plan_function import PlanFunction, Point, Rows
 from phfmu.discretise.model import Model
 from phfmu.signals import Quantity
@@ -31,11 +33,11 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Taken:
-    """Steps that were taken: start times (n) and the length, states before (n x nx) and after, unknowns, inputs (n x k nu),
+    """Steps that were taken: start times (n) and lengths (n), states before (n x nx) and after, unknowns, inputs (n x k nu),
     parameters, algebraic variables at their ends (n x na)."""
 
     t: Array
-    h: float
+    h: Array
     before: Array
     after: Array
     w: Array
@@ -51,16 +53,23 @@ class Taken:
         recorded signals, unknowns and counts.  ValueError for one that was taken in parts.
         """
         if (divided := np.flatnonzero(r["counts"][:, 1] > 1)).size:
-            raise ValueError(
-                f"{model.name}: the step at t = {t[divided[0]]:.9g} s was taken in parts, of which derivatives know the last one "
-                f"only; take shorter steps than --step {h:g}"
-            )
+            raise in_parts(model, float(t[divided[0]]), h)
         n, layout = len(t), instance.layout
         x, a_end = (r["signals"][:, layout[block]] for block in ("x", "a_end"))
         given = np.broadcast_to(u, (n, model.step.nu)) if u.ndim == 1 else u
         given = np.repeat(given[:, None], model.step.k, axis=1) if given.ndim == 2 else given
         states = np.vstack([before[None], x[:-1]])
-        return Taken(t, h, states, x, r["unknowns"], given.reshape(n, -1), instance.parameters.copy(), a_end)
+        return Taken(
+            t, np.full(n, h), states, x, r["unknowns"], given.reshape(n, -1), instance.parameters.copy(), a_end
+        )
+
+
+def in_parts(model: Model, t: float, h: float) -> ValueError:
+    """A step was taken in parts."""
+    return ValueError(
+        f"{model.name}: the step at t = {t:.9g} s was taken in parts, of which derivatives know the last one only; take shorter "
+        f"steps than --step {h:g}"
+    )
 
 
 #: what is told of a step and at an instant, by the block of a row, each one after the other
@@ -74,8 +83,11 @@ class Tangents:
         require_smooth(model)
         self.model, self.by = model, by
         step, instant = model.step, model.instant
-        self._step = PlanFunction(step, _told_of_step, by.directions)
-        self._instant = PlanFunction(instant, _told_of_instant, by.directions)
+        #: of models with state events, whose instants move
+        self.events = None if model.events is None else EventMaps(model, model.events, by.directions)
+        moves = self.events is not None
+        self._step = PlanFunction(step, _told_of_step, by.directions, moves)
+        self._instant = PlanFunction(instant, _told_of_instant, by.directions, moves)
         self._of_step = places(OF_STEP, (step.na, step.nq, step.nq, step.ncomp))
         self._of_instant = places(OF_INSTANT, (instant.na, instant.nq, instant.nobs, instant.ncomp))
         self._U = np.zeros((step.nx, step.nw))
@@ -88,6 +100,8 @@ class Tangents:
         #: which directions still act: a parameter that an event has set does no longer
         self._acts = np.ones(n)
         self.S = np.zeros((step.nx, n))
+        #: of the present time, which moves at events, and of the sizes of what it follows from
+        self.T, self._sizes = np.zeros(n), np.ones(n)
         self._sums = {"energy": np.zeros((step.nq, n)), "dissipated": np.zeros((step.ncomp, n))}
 
     def cut(self, names: Sequence[str]) -> None:
@@ -100,35 +114,81 @@ class Tangents:
     def at_start(self, t: float, given: Array, x: Array, u: Array, p: Array, a_end: Array) -> dict[str, Array]:
         """Blocks of the first row: name -> (1 x entries x names); `given`: states, of which x is the projection."""
         self.S = start_tangents_by(self.model, self.by, given, x, p, t)
-        found = self._at_instants((np.array([t]), x[None], u[None], p, a_end[None]), self.S[None])
-        blocks = {"x": self.S[None].copy(), **found}
+        self._sizes = self.by.sizes(x, u, p)
+        return self._at_once(t, x, u, p, a_end)
+
+    def _at_once(self, t: float, x: Array, u: Array, p: Array, a_end: Array) -> dict[str, Array]:
+        """Blocks of a row of which all values are those at its instant."""
+        found = self._at_instants((np.array([t]), x[None], u[None], p, a_end[None]), self.S[None], self.T[None])
+        blocks = {"x": self.S[None].copy(), "t": self.T[None, None].copy(), **found}
         blocks |= {"a": found["a_end"], "y_step": found["y_end"]}
         return self._with_sums(blocks, {n: s[None] for n, s in self._sums.items()})
 
-    def over(self, steps: Taken) -> dict[str, Array]:
-        """Blocks of the rows at the ends of steps that go on from those before: name -> (n x entries x names)."""
+    def happened(self, before: Instant, after: Instant, fired: Sequence[int], rests: Sequence[int]) -> dict[str, Array]:
+        """Blocks of the row after events, of which some come to rest: the states `before` them with the parameters after them."""
+        assert self.events is not None
+        jump = self.events.jump(fired, rests, before)
+        if jump is not None:
+            along = self.by.spread(jump.along) * self._acts
+            self.S[jump.moved] += jump.x @ self.S + np.outer(jump.t, self.T) + along
+        return self._at_once(after.t, after.x, after.u, after.p, after.a)
+
+    def over(self, steps: Taken, landed: Sequence[int] = (), grid: float = 0.0) -> dict[str, Array]:
+        """Blocks of the rows at the ends of steps that go on from those before: name -> (n x entries x names).
+
+        landed: guards that are zero at the end of the last one;  grid: length of the steps that do not end on events
+        """
         model, n, nx = self.model, len(steps.t), self.model.step.nx
-        x, h = np.column_stack([steps.before, steps.t]), np.full(n, steps.h)
+        x, ahead = np.column_stack([steps.before, steps.t]), nx + self.by.directions.n
         p = np.broadcast_to(steps.p, (n, len(steps.p)))
-        found = self._step.response(Point(x, steps.w, steps.u, p, h))
-        own = self.by.spread(found.w[:, :, nx:]) * self._acts
-        told = self.by.spread(found.told[:, :, nx:]) * self._acts
+        found = self._step.response(Point(x, steps.w, steps.u, p, steps.h))
+        own = self.by.spread(found.w[:, :, nx:ahead]) * self._acts
+        told = self.by.spread(found.told[:, :, nx:ahead]) * self._acts
         S, rows = np.zeros((n, nx, len(self.by.names))), np.zeros((n, *told.shape[1:]))
+        T = np.zeros((n, len(self.by.names)))
         for i in range(n):
             rows[i] = found.told[i, :, :nx] @ self.S + told[i]
-            self.S = self.S + self._U @ (found.w[i, :, :nx] @ self.S + own[i])
+            w = found.w[i, :, :nx] @ self.S + own[i]
+            if self.T.any():  # it begins at an instant that moves, and ends at one that does not
+                w += np.outer(found.w[i, :, ahead] - found.w[i, :, ahead + 1], self.T)
+                rows[i] += np.outer(found.told[i, :, ahead] - found.told[i, :, ahead + 1], self.T)
+            if landed and i == n - 1:
+                h = found.w[i, :, ahead + 1]
+                T[i] = self._landed(landed, steps, grid, self.S + self._U @ w, self._U @ h)
+                w += np.outer(h, T[i])
+                rows[i] += np.outer(found.told[i, :, ahead + 1], T[i])
+            self.S, self.T = self.S + self._U @ w, T[i]
             S[i] = self.S
         blocks = {name: rows[:, place] for name, place in self._of_step.items()}
         nu = model.step.nu
         u = steps.u.reshape(n, model.step.k, nu)
         last = np.array(model.scheme.nodes.value(1.0)) if model.step.k > 1 else np.ones(1)
         ends = np.einsum("k,nku->nu", last, u) if nu else np.zeros((n, 0))
-        blocks |= self._at_instants((steps.t + steps.h, steps.after, ends, steps.p, steps.a_end), S) | {"x": S}
+        blocks |= self._at_instants((steps.t + steps.h, steps.after, ends, steps.p, steps.a_end), S, T) | {
+            "x": S,
+            "t": T[:, None],
+        }
         sums = {}
         for name, start in self._sums.items():
             sums[name] = start + np.cumsum(blocks.pop(name), axis=0)
             self._sums[name] = sums[name][-1]
         return self._with_sums(blocks, sums)
+
+    def _landed(self, guards: Sequence[int], steps: Taken, grid: float, S: Array, rate: Array) -> Array:
+        """Tangent (names) of the end of the last step, where guards are zero: tangents of the states for a given length, and
+        their rates by it.  NoDerivative."""
+        assert self.events is not None
+        t, h = float(steps.t[-1]), float(steps.h[-1])
+        nu = self.model.step.nu  # inputs are held
+        at = Instant(t + h, steps.after[-1], steps.a_end[-1], steps.u[-1, steps.u.shape[1] - nu :], steps.p)
+        found = []
+        for i in guards:
+            g = self.events.guard(i, at)
+            own = float(g.x @ rate) + g.t
+            self.events.require_crossing(i, at.t, own, grid)
+            found.append(-(g.x @ S + self.by.spread(g.along) * self._acts) / own)
+        self.events.require_together(at.t, guards, np.array(found), self._sizes)
+        return found[0]
 
     def _with_sums(self, blocks: dict[str, Array], sums: dict[str, Array]) -> dict[str, Array]:
         """Energies since the start: through pairs, lost, and supplied by component."""
@@ -139,8 +199,8 @@ class Tangents:
         nothing = {name: np.zeros((n, plan.ncomp, width)) for name in ("residual", "gap")}
         return blocks | sums | {"supplied": supplied} | nothing
 
-    def _at_instants(self, point: tuple[Array, Array, Array, Array, Array], S: Array) -> dict[str, Array]:
-        """Blocks at instants (t, x, u, p, algebraic variables) with tangents S (n x nx x names) of the states."""
+    def _at_instants(self, point: tuple[Array, Array, Array, Array, Array], S: Array, T: Array) -> dict[str, Array]:
+        """Blocks at instants (t, x, u, p, algebraic variables) with tangents S (n x nx x names) of the states, T of the times."""
         t, x, u, p, a = point
         plan, n = self.model.instant, len(t)
         w = np.zeros((n, plan.nw))
@@ -148,8 +208,10 @@ class Tangents:
         at = Point(np.column_stack([x, t]), w, u, np.broadcast_to(p, (n, len(p))), np.ones(n))
         at = Point(at.x, self._instant.solved(at), at.u, at.p, at.h)
         found = self._instant.response(at).told
-        nx = plan.nx
-        rows = np.matmul(found[:, :, :nx], S) + self.by.spread(found[:, :, nx:]) * self._acts
+        nx, ahead = plan.nx, plan.nx + self.by.directions.n
+        rows = np.matmul(found[:, :, :nx], S) + self.by.spread(found[:, :, nx:ahead]) * self._acts
+        if T.any():
+            rows += found[:, :, ahead, None] * T[:, None, :]
         return {name: rows[:, place] for name, place in self._of_instant.items()}
 
 
@@ -168,11 +230,10 @@ def of_quantities(quantities: Sequence[Quantity], blocks: dict[str, Array], by: 
 def require_smooth(model: Model) -> None:
     """ValueError for what has no tangents here."""
     d = model.declaration
-    if d.state_events or d.switches or model.modes is not None:
-        names = [e.guard.name for e in d.state_events][:3] or ["ideal switches"]
+    if d.switches or model.modes is not None:
         raise ValueError(
-            f"{d.name} has state events ({', '.join(names)}), whose instants move with the parameters; derivatives are told of "
-            "models without them"
+            f"{d.name} has ideal switches, which change the equations at state events; derivatives are told of models without "
+            "them: take breakers in series with an inductance, or valves"
         )
     if model.step.carries or model.loses_energy:
         raise ValueError(

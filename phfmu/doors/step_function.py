@@ -26,9 +26,8 @@ from phfmu.derivatives.tangents import require_smooth
 from phfmu.discretise.model import Model
 from phfmu.doors.function import Block
 from phfmu.engine.native.native import NativeInstance
-from phfmu.engine.native.reverse import NoDerivative
 from phfmu.engine.reference.python import PythonInstance
-from phfmu.outcome.status import StepFailure
+from phfmu.outcome.status import NoDerivative, StepFailure
 
 Array = NDArray[np.float64]
 

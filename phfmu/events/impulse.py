@@ -34,23 +34,31 @@ def impulses(S: Array, goal: Array, acts: NDArray[np.bool_], strict: int, least:
     None where one of the first `strict` pivots is below `least` of its diagonal: columns depend on each other.  Later columns
     that depend on those before them (redundant constraints, nodes that nothing is joined to) get m = 0.
     """
-    n = len(goal)
-    factor, m = np.zeros_like(S), goal.copy()
+    n, factor, m = len(goal), factored(S, acts, strict, least), goal.copy()
+    if factor is None:
+        return None
+    for j in range(n):
+        m[j] = (m[j] - factor[j, :j] @ m[:j]) / factor[j, j] if factor[j, j] else 0.0
+    for j in range(n - 1, -1, -1):
+        if factor[j, j]:
+            m[j] = (m[j] - factor[j + 1 :, j] @ m[j + 1 :]) / factor[j, j]
+    return m
+
+
+def factored(S: Array, acts: NDArray[np.bool_], strict: int, least: float) -> Array | None:
+    """The factor of `impulses`, of which columns that do not act or depend on those before them are 0."""
+    n = len(S)
+    factor = np.zeros_like(S)
     for j in range(n):
         pivot = S[j, j] - factor[j, :j] @ factor[j, :j]
         if not acts[j] or not pivot > least * S[j, j]:
             if acts[j] and j < strict:
                 return None
-            m[j] = 0.0  # and so is its column of the factor
             continue
         factor[j, j] = np.sqrt(pivot)
         for i in range(j + 1, n):
             factor[i, j] = (S[i, j] - factor[i, :j] @ factor[j, :j]) / factor[j, j]
-        m[j] = (m[j] - factor[j, :j] @ m[:j]) / factor[j, j]
-    for j in range(n - 1, -1, -1):
-        if factor[j, j]:
-            m[j] = (m[j] - factor[j + 1 :, j] @ m[j + 1 :]) / factor[j, j]
-    return m
+    return factor
 
 
 def pushing(

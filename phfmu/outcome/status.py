@@ -46,6 +46,16 @@ def attempts(h: float, spent: int) -> str:
     return f"two starts, shorter steps, line search and {halved}"
 
 
+class NoDerivative(ValueError):
+    """What happens at the time `t` (s) has none: a step whose equations depend on each other, or an event, and `why`."""
+
+    def __init__(self, t: float, why: str = ""):
+        super().__init__(
+            why or f"the step at t = {t:.9g} s has no derivative: its equations depend on each other there"
+        )
+        self.t = t
+
+
 class StepFailure(RuntimeError):
     """A step that was refused; the instance is at its last accepted step.
 

@@ -78,6 +78,42 @@ def test_what_the_data_cannot_tell_is_named() -> None:
     assert J / k == pytest.approx(2.0, rel=1e-3)
 
 
+def bounces(noise: float, seed: int = 0) -> Table:
+    """A body of `buffer` with another bumper and spring, told on the grid; noise: part of its largest distance."""
+    model = build_model(build("buffer").declaration().with_starts({"body.e": 0.62, "spring.k": 230.0}))
+    r = run(Monolithic(model, NativeInstance(model)), Options(stop=0.8, step=5e-3))
+    rows = np.isclose(np.remainder(r.time / 5e-3 + 0.5, 1.0), 0.5) & np.append(True, np.diff(r.time) > 0)
+    q = r.column("body.q")[rows]
+    size = noise * np.abs(q).max()
+    drawn = q + size * np.random.default_rng(seed).normal(size=len(q))
+    return Table(["body.q"], r.time[rows], drawn[:, None], ["m"])
+
+
+def fitted_bounces(data: Table, **more: Any) -> Any:
+    model = build_model(build("buffer").declaration())  # e = 0.5, k = 200 N/m
+    own = Experiment("bounces", data, Options(stop=0.8, step=5e-3))
+    return fit(model, NativeInstance(model), [own], ["body.e", "spring.k"], ["body.q"], **more)
+
+
+def test_restitution_and_stiffness_of_a_bouncing_contact() -> None:
+    """Impacts that pile up and end at rest: their instants move with both, and their number changes on the way."""
+    found = fitted_bounces(bounces(0.0))
+    # what was made by the same steps comes back; rest begins at a kink of rounding, 1e-8 of the step after the last impact
+    assert found.values["body.e"] == pytest.approx(0.62, rel=1e-8)
+    assert found.values["spring.k"] == pytest.approx(230.0, rel=1e-8)
+    assert found.sequences > 1 and found.between == 0
+
+
+@pytest.mark.parametrize("seed", wide(list(range(6)), 0))
+def test_a_noisy_contact_comes_back_within_its_errors(seed: int) -> None:
+    found = fitted_bounces(bounces(0.02, seed))
+    size = float(np.abs(bounces(0.0).column("body.q")).max())
+    for name, true in {"body.e": 0.62, "spring.k": 230.0}.items():
+        assert abs(found.values[name] - true) <= 4.0 * found.errors[name], name
+        assert 0 < found.errors[name] < 0.02 * true
+    assert found.residuals["body.q"] == pytest.approx(0.02 * size, rel=0.2)
+
+
 def test_two_experiments_and_a_start_value() -> None:
     tables = [measured(3), measured(4, voltage=6.0)]
     values = [{"terminal.v": 12.0}, {"terminal.v": 6.0}]

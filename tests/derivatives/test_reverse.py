@@ -14,6 +14,7 @@ from phfmu import Event, NativeInstance, Options, PythonInstance, build_model, d
 from phfmu.components.library import build
 from phfmu.derivatives.measured import RunMeasure, SumOfSquares, run_measures
 from phfmu.derivatives.taped import TapedSteps
+from phfmu.engine.switched import stepped
 from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.network.members.columns import Columns
 from tests.derivatives.differences import richardson
@@ -250,9 +251,9 @@ def test_interpreted_kernels_go_back_too() -> None:
     np.testing.assert_allclose(*found, rtol=1e-13)
 
 
-def test_state_events_are_refused_by_name() -> None:
-    model = build_model(declared("bouncing_ball"))
-    with pytest.raises(ValueError, match="whose instants move with the parameters"):
+def test_switches_are_refused_by_name() -> None:
+    model = build_model(declared("rectifier"))
+    with pytest.raises(ValueError, match="ideal switches, which change the equations"):
         gradient(
-            model, NativeInstance(model), Options(stop=0.1, step=1e-2), ["last(energy.stored)"], ["g"], mode="reverse"
+            model, stepped(model, NativeInstance), Options(stop=0.1, step=1e-2), ["last(energy.stored)"], ["load.R"]
         )

@@ -174,6 +174,9 @@ def _lines(args: argparse.Namespace, found: Fit) -> list[str]:
         f"{name}: residuals follow each other (correlation {c:.2f} from row to row): the model misses something"
         for name, c in found.misfit.items()
     ]
+    if found.sequences > 1:
+        lines.append(f"runs had {found.sequences} sequences of state events: where one follows another residuals have a kink, "
+                     "at which a fit may stop; --tries begins at other values too")  # fmt: skip
     if found.between:
         lines.append(f"{counted(found.between, 'measurement')} between two rows of the run: taken on the line between them; "
                      "a step that meets their times avoids it")  # fmt: skip
@@ -198,4 +201,5 @@ def as_json(found: Fit) -> dict[str, Any]:
         "singular_values": found.singular.tolist(),
         "undetermined": list(found.undetermined),
         "misfit": found.misfit,
+        "sequences": found.sequences,
     }

@@ -14,7 +14,7 @@ from phfmu.engine.native.code import Code, Functions
 from phfmu.engine.native.compiled import Made
 from phfmu.engine.native.library import Signatures, placed, typed, view
 from phfmu.engine.native.native import NativeInstance
-from phfmu.outcome.status import Status
+from phfmu.outcome.status import NoDerivative, Status
 from phfmu.plan.reverse import reverse, reverse_ledger
 
 Floats = NDArray[np.float64]
@@ -35,6 +35,7 @@ class _Parts(ctypes.Structure):
     _fields_ = [
         ("n", ctypes.c_int),
         *((n, ctypes.c_void_p) for n in ("rows", "row", "part")),
+        ("moves", ctypes.c_int),
     ]
 
 
@@ -92,6 +93,15 @@ class NativeTape:
     def __exit__(self, *_: object) -> None:
         self._lib.ph_tape_on(self._instance.handle.instance, None, None, 0)
 
+    def taken(self, end: float) -> Floats:
+        """A copy of the parts that begin before `end`, which leave the tape."""
+        rows = self.rows
+        n = int(np.searchsorted(rows[:, 0], end))
+        found, left = rows[:n].copy(), len(rows) - n
+        self._rows[:left] = rows[n:].copy()
+        self._tape.n = left
+        return found
+
     @property
     def full(self) -> bool:
         """A part found no room."""
@@ -106,13 +116,14 @@ class NativeTape:
 @dataclass(frozen=True)
 class Bars:
     """Derivatives of some measures (n x ..) by states and time (nx + 1), parameters, held inputs, energies through pairs and lost
-    since the start: views into the memory of the way back."""
+    since the start, and by the length of a step that moves (1): views into the memory of the way back."""
 
     x: Floats
     p: Floats
     u: Floats
     pairs: Floats
     lost: Floats
+    h: Floats
 
 
 @dataclass(frozen=True)
@@ -122,14 +133,6 @@ class RowBars:
 
     row: NDArray[np.int32]
     bar: Floats
-
-
-class NoDerivative(ValueError):
-    """A step at time `t` whose equations have none."""
-
-    def __init__(self, t: float):
-        super().__init__(f"the step at t = {t:.9g} s has no derivative: its equations depend on each other there")
-        self.t = t
 
 
 class NativeReverse:
@@ -147,17 +150,20 @@ class NativeReverse:
         self._in = self._lib.ph_reverse_init(self._room.ctypes.data, *about)
         plan, width = model.step, self._lib.ph_reverse_width(made.tables.pointer)
         values = view(self._lib.ph_reverse_bars(self._in), n * width).reshape(n, width)
-        ends = np.cumsum([plan.nx + 1, plan.np, plan.nu, plan.nq]).tolist()
+        ends = np.cumsum([plan.nx + 1, plan.np, plan.nu, plan.nq, plan.ncomp]).tolist()
         self.bars = Bars(*np.split(values, ends, axis=1))
         self.n = n
 
-    def back(self, rows: Floats, parameters: Floats, row: NDArray[np.int32], part: Floats, told: RowBars) -> None:
+    def back(
+        self, rows: Floats, parameters: Floats, row: NDArray[np.int32], part: Floats, told: RowBars, moves: bool = False
+    ) -> None:
         """Over parts of steps (rows of a tape), taken with `parameters`; `row`: the row of the run that each belongs to, `part`:
-        what it is of its step.  NoDerivative."""
+        what it is of its step.  `moves`: they are those of one step, whose start and length move: their bars are added to
+        `bars.x[:, nx]` and `bars.h`.  NoDerivative."""
         self._lib.ph_set_parameters(self._instance, np.ascontiguousarray(parameters).ctypes.data)
         row, part = np.ascontiguousarray(row, np.int32), np.ascontiguousarray(part, float)
         given, bar = np.ascontiguousarray(told.row, np.int32), np.ascontiguousarray(told.bar, float)
-        parts = _Parts(len(rows), rows.ctypes.data, row.ctypes.data, part.ctypes.data)
+        parts = _Parts(len(rows), rows.ctypes.data, row.ctypes.data, part.ctypes.data, int(moves))
         at = ctypes.c_double()
         bars = _RowBars(len(given), given.ctypes.data, bar.ctypes.data)
         if self._lib.ph_reverse_steps(self._in, parts, bars, at):

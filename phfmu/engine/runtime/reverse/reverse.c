@@ -92,6 +92,25 @@ void ph_back(ph_reverse *r, ph_system *s, const double *stored, const double *lo
         group_back(r, s, &p->groups[l], yb + p->nv, pb);
 }
 
+/* Rows are sums of h^q times kernels and constants, so that their derivatives by h alone are the same sums
+ * with q h^(q-1) in place of h^q. */
+double ph_back_length(ph_reverse *r, const ph_system *s) {
+    const ph_plan *p = s->plan;
+    const double derived[3] = {0.0, 1.0, 2.0 * s->hp[1]};
+    const ph_point at = {s->x, s->y, s->p, derived, s->work};
+    double *z = r->slope, *rows = r->slope + p->nz, bar = r->yb[p->nv - 1];
+    ph_clear(r->slope, p->nz + p->nrow);
+    for (int l = 0; l < p->ngroup; l++)
+        ph_value_of(s->code, &p->groups[l], &at, p->groups[l].stage ? rows : z);
+    for (int l = 0; l < p->nconst; l++)
+        rows[p->const_row[l]] += p->const_val[l] * derived[p->const_pow[l]] * s->y[p->const_src[l]];
+    for (int i = 0; i < p->nz; i++)
+        bar += r->yb[p->nv + i] * z[i];
+    for (int i = 0; i < p->nrow; i++)
+        bar += r->rb[i] * rows[i];
+    return bar;
+}
+
 #define NOTHING 1e-290 /* bars this small have lost digits: of a measure that does not follow any longer */
 
 /* to = b - A^T l; the largest part of the sums of a column that is left of it, and of those of all columns.

@@ -4,7 +4,7 @@
  * it tells T(x, w, u, p, h), takes the bars of x+ and T to those of x, u and p,
  *
  *     A^T l = U^T x+_bar + T_w^T T_bar,   A = R_w,
- *     (x, u, p)_bar += T_(x,u,p)^T T_bar - R_(x,u,p)^T l,   x_bar += x+_bar,
+ *     (x, u, p, h)_bar += T_(x,u,p,h)^T T_bar - R_(x,u,p,h)^T l,   x_bar += x+_bar,
  *
  * one transposed solve and products with kernels in reverse, whatever the number of parameters. */
 #ifndef PH_REVERSE_H
@@ -25,6 +25,7 @@ typedef struct ph_bars {
     double *u;     /* nu: held inputs */
     double *pairs; /* nq: energies through pairs since the start */
     double *lost;  /* ncomp: dissipated energies since the start */
+    double *h;     /* 1: the length of steps that moves */
 } ph_bars;
 
 /* Bars of what a row of a run tells, for one measure: [x nx | a na | y_step nq | energy nq | dissipated
@@ -41,6 +42,7 @@ typedef struct ph_parts {
     const double *rows; /* n x width */
     const int *row;     /* n: the row of the run that each part belongs to */
     const double *part; /* n: what it is of that row's step */
+    int moves; /* 1: they are of one step whose start and length move, so that their bars are wanted */
 } ph_parts;
 
 typedef struct ph_reverse ph_reverse;

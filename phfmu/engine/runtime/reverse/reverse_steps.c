@@ -12,12 +12,13 @@ static ph_bars bars_of(const ph_reverse *r, int measure) {
     b.u = b.p + p->np;
     b.pairs = b.u + p->nu;
     b.lost = b.pairs + p->nq;
+    b.h = b.lost + p->ncomp;
     return b;
 }
 
 int ph_reverse_width(const ph_model *model) {
     const ph_plan *p = model->step;
-    return p->nx + 1 + p->np + p->nu + p->nq + p->ncomp;
+    return p->nx + 1 + p->np + p->nu + p->nq + p->ncomp + 1;
 }
 
 /* The part of a tape's row becomes the point of the system of steps; its matrix and factor. */
@@ -60,6 +61,25 @@ static void told_back(ph_reverse *r, ph_system *s, const ph_bars *at, const doub
     ph_back(r, s, NULL, r->lost, at->p);
 }
 
+/* The bar of h in what the part tells, behind told_back. */
+static double told_length(ph_reverse *r, ph_system *s, const ph_bars *at, const double *bar, double part) {
+    const ph_plan *p = s->plan;
+    const double h = s->hp[1];
+    ph_instance *in = r->in;
+    double found = ph_back_length(r, s);
+    for (int l = 0; bar && l < p->nmean; l++)
+        if (p->mean_pow[l] < 0)
+            found -= part * p->mean_c[l] * bar[p->nx + p->mean_a[l]] * s->y[p->mean_w[l]] / (h * h);
+    for (int i = 0; i < p->k; i++)
+        for (int j = 0; j < p->nq; j++)
+            found +=
+                p->weights[i] * s->r[p->nw + i * p->nq + j] * s->y[p->pair_src[i * p->nq + j]] * at->pairs[j];
+    ph_eval_ledger(s, in->stored, in->moved, in->lost, in->numerical);
+    for (int c = 0; c < p->ncomp; c++)
+        found += in->lost[c] * at->lost[c];
+    return found;
+}
+
 /* The bars of x and u that a pass has found. */
 static void gather(const ph_reverse *r, const ph_plan *p, const ph_bars *at) {
     for (int i = 0; i <= p->nx; i++)
@@ -84,8 +104,9 @@ static int unknowns_back(ph_reverse *r, ph_system *s, const ph_bars *at) {
     return PH_OK;
 }
 
-/* One measure over one part; bar: of its row, or NULL. */
-static int part_back(ph_reverse *r, const ph_bars *at, const double *bar, double part, int tells) {
+/* One measure over one part; bar: of its row, or NULL. *length: NULL, or the bar of the part's length. */
+static int part_back(ph_reverse *r, const ph_bars *at, const double *bar, double part, int tells,
+                     double *length) {
     ph_system *s = &r->in->step;
     const ph_plan *p = s->plan;
     ph_clear(r->b, p->nw);
@@ -99,8 +120,25 @@ static int part_back(ph_reverse *r, const ph_bars *at, const double *bar, double
         for (int i = 0; i < p->nw; i++)
             r->b[i] += r->yb[i];
         gather(r, p, at);
+        if (length)
+            *length = told_length(r, s, at, bar, part);
     }
-    return unknowns_back(r, s, at);
+    if (unknowns_back(r, s, at))
+        return PH_SINGULAR;
+    if (length && p->nw > 0)
+        *length += ph_back_length(r, s);
+    return PH_OK;
+}
+
+/* The same over a part of a step that moves: it begins at `from` of the step's start and is `share` of its
+ * length, so that it moves with both. */
+static int moving_back(ph_reverse *r, const ph_bars *at, const double *bar, double share, double from,
+                       int tells) {
+    double *t = at->x + r->in->model->step->nx, before = *t, length = 0.0;
+    if (part_back(r, at, bar, share, tells, &length))
+        return PH_SINGULAR;
+    *at->h += share * length + from * (*t - before);
+    return PH_OK;
 }
 
 static int some(const double *values, int n) {
@@ -142,7 +180,10 @@ int ph_reverse_steps(ph_reverse *r, const ph_parts *parts, const ph_row_bars *to
         status = place(r, row, tells);
         for (int c = 0; c < r->n && status == PH_OK; c++) {
             const ph_bars b = bars_of(r, c);
-            status = part_back(r, &b, bar ? bar + c * own : NULL, parts->part[k], tells);
+            const double *mine = bar ? bar + c * own : NULL, share = parts->part[k];
+            const double from = (row[0] - parts->rows[0]) * share / row[1];
+            status = parts->moves ? moving_back(r, &b, mine, share, from, tells)
+                                  : part_back(r, &b, mine, share, tells, NULL);
         }
         if (status)
             *at = row[0];
@@ -215,6 +256,7 @@ static void lay_out(ph_reverse *r, ph_pool *pool) {
     r->rest = ph_take_doubles(pool, larger(p->nw, q->nw));
     r->more = ph_take_doubles(pool, larger(p->nw, q->nw));
     r->lost = ph_take_doubles(pool, p->ncomp);
+    r->slope = ph_take_doubles(pool, larger(p->nz + p->nrow, q->nz + q->nrow));
     r->bar = ph_take_doubles(pool, no);
     r->local = ph_take_doubles(pool, local);
     r->work = ph_take_doubles(pool, work);

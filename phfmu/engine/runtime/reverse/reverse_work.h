@@ -19,6 +19,7 @@ struct ph_reverse {
     double *rest;   /* nw: what it misses */
     double *more;   /* nw: a correction */
     double *lost;   /* ncomp: bars of the rates of loss */
+    double *slope;  /* nz+nrow: derivatives of Z and of the rows by h alone */
 
     double *bar;   /* of the results of one kernel */
     double *local; /* its arguments and their bars */
@@ -33,6 +34,8 @@ void ph_back_clear(ph_reverse *r, const ph_system *s);
 /* The bars rb of the rows, yb of what is read of Y besides, and of energies by component (NULL: none) to
  * those of x, Y and p. The values are those that were evaluated last. */
 void ph_back(ph_reverse *r, ph_system *s, const double *stored, const double *lost, double *pb);
+/* The bar of h in what ph_back has gone back over last. */
+double ph_back_length(ph_reverse *r, const ph_system *s);
 /* lambda = A^-T b with the factor at hand, refined; PH_SINGULAR where that does not settle. */
 int ph_back_solve(ph_reverse *r, ph_system *s);
 
