@@ -129,7 +129,7 @@ class TapedSteps(DerivedSteps):
         #: stretches that had to be run again on the way back
         self.again = 0
         self.legs: list[Leg] = []
-        self._calls: list[Call] = []
+        self.calls: list[Call] = []
         self._moving = False
         self._quantities = {q.name: q for q in quantities(model)}
         self._instants = False
@@ -139,7 +139,7 @@ class TapedSteps(DerivedSteps):
         self._instants = any(self._quantities[n].block in OF_INSTANT for n in signals)
 
     def forget(self) -> None:
-        self.legs, self._calls, self._moving = [], [], False
+        self.legs, self.calls, self._moving = [], [], False
 
     def cut(self, name: str) -> None:
         self.legs[-1].cuts.append(name)
@@ -163,7 +163,7 @@ class TapedSteps(DerivedSteps):
         return self.steps_of(instance, record)
 
     def _called(self, call: Call) -> Call:
-        self._calls.append(call)
+        self.calls.append(call)
         return call
 
     def _leg(self, call: Call, starts: Array, sizes: Array, u: Array, p: Array) -> Leg:
@@ -190,7 +190,7 @@ class TapedSteps(DerivedSteps):
         self, found: LandedSteps, steps: Steps | None, row: tuple[StepEvent, Array] | None
     ) -> tuple[Steps | None, tuple[StepEvent, Array] | None]:
         part, e, layout = found.part, found.part.happened, self.instance.layout
-        leg = self._leg(self._calls[-1], part.t, part.h, found.u, found.p)
+        leg = self._leg(self.calls[-1], part.t, part.h, found.u, found.p)
         leg.end, a = found.x, np.zeros((0, self.model.step.na))
         if len(part.t):
             leg.end, a = (part.rows["signals"][:, layout[block]].copy() for block in ("x", "a_end"))
@@ -233,8 +233,8 @@ class TapedSteps(DerivedSteps):
 
     def _forget(self) -> None:
         """Within the memory: tapes of the first calls go."""
-        size = sum(call.kept for call in self._calls)
-        for call in self._calls[:-1]:
+        size = sum(call.kept for call in self.calls)
+        for call in self.calls[:-1]:
             if size <= self.memory:
                 break
             size -= call.kept
