@@ -67,14 +67,18 @@ def main() -> None:
     parser.add_argument(
         "--tree", action="append", type=Path, metavar="PATH", help="of house: a tree to measure; may be repeated"
     )
+    parser.add_argument("--picture", action="append", metavar="SCENE", help="of gallery: draw only this one; may be repeated")
     args = parser.parse_args()
+    if args.picture and args.names != ["gallery"]:
+        parser.error("--picture is of gallery")
     if args.tree and args.names != ["house"]:
         parser.error("--tree is of house")
     unknown = [n for n in args.names if n not in MODULE]
     if unknown:
         parser.error(f"there is no '{unknown[0]}'; there are: {', '.join(MODULE)}")
     for name in args.names:
-        made = maker(name)(args.tree) if args.tree else maker(name)()
+        chosen = args.tree or args.picture
+        made = maker(name)(chosen) if chosen else maker(name)()
         print(f"### {name}\n\n{maker(name).__doc__}\n\n{made}\n", flush=True)
         if args.write:
             for path in (*write(name, made), *made.draw()):

@@ -7,7 +7,7 @@ import io
 import re
 import shlex
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 from pages import DOCS, Made
@@ -20,18 +20,20 @@ COMMAND = re.compile(r"^\$ phfmu (run .* --plot (\w+\.png))$", re.MULTILINE)
 COLOURS = 160
 
 
-def gallery() -> Made:
-    """docs/img/gallery: a picture of every scene of the library."""
-    return Made(draw=_draw)
+def gallery(scenes: Sequence[str] = ()) -> Made:
+    """docs/img/gallery: a picture of every scene of the library, or of these."""
+    return Made(draw=lambda: _draw({f"{name}.png" for name in scenes}))
 
 
-def _draw() -> Sequence[Path]:
+def _draw(chosen: Collection[str]) -> Sequence[Path]:
     from PIL import Image
 
     IMAGES.mkdir(exist_ok=True)
     written = []
     with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
         for command, picture in COMMAND.findall(PAGE.read_text(encoding="utf-8")):
+            if chosen and picture not in chosen:
+                continue
             with contextlib.redirect_stdout(io.StringIO()):
                 if main([*shlex.split(command), "--audit", "none"]):
                     raise RuntimeError(f"phfmu {command} did not end well")
