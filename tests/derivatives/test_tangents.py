@@ -149,7 +149,7 @@ def test_units_and_names() -> None:
 
 REFUSED = {
     "rectifier": (["--sensitivity", "load.R"], "ideal switches (bridge.pair1"),
-    "buffer": (["--sensitivity", "body.e", "--restart", "4"], "leave out --restart and --rtol"),
+    "buffer": (["--sensitivity", "body.e", "--restart", "4"], "--sensitivity and --restart do not go together"),
     "clutch": (["--sensitivity", "engaged", "--stop", "0.01", "--step", "1e-3"], "ideal switches"),
     "smib": (["--sensitivity", "gen.Q"], "no parameter, state or input 'gen.Q'"),
     "oscillator": (["--sensitivity", "mass1.m", "--coupling", "newton"], "--sensitivity is for one composed model"),
