@@ -110,7 +110,10 @@ class DerivedSteps(Monolithic):
         names, near = self.maps.plan.names, LIMITS["PILE_UP"] * grid.h
         for e in self.met:
             if e.rests:
-                piled, many = " and ".join(names[i] for i in e.rests), sum(set(e.rests) <= set(m.events) for m in self.met)
+                piled, many = (
+                    " and ".join(names[i] for i in e.rests),
+                    sum(set(e.rests) <= set(m.events) for m in self.met),
+                )
                 found.append(
                     f"{piled} at t = {e.t:.9g} s: events pile up and end there; derivatives are those of the {many} that "
                     "happened, of which other values have more or fewer"

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from phfmu.derivatives.by import By
 from phfmu.derivatives.measured import TIME, RunMeasure, run_measures
 from phfmu.derivatives.sensitive import SensitiveSteps
-from phfmu.derivatives.tangents import require_smooth
+from phfmu.derivatives.tangents import require_derived
 from phfmu.derivatives.taped import MEMORY, TapedSteps
 from phfmu.discretise.model import Model
 from phfmu.engine.native.native import NativeInstance
@@ -114,7 +114,7 @@ def stepper_of(
     signals = _signals(of)
     if chosen == "forward":
         return SensitiveSteps(model, instance, by, signals)
-    require_smooth(model)
+    require_derived(model)
     taped = TapedSteps(model, instance, by, memory)
     taped.needs(signals)
     return taped

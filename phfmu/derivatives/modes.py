@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.derivatives.tangents import By, Taken, Tangents
+from phfmu.derivatives.tangents import By, Taken, Tangents, require_smooth
 from phfmu.discretise.model import Model
 
 Array = NDArray[np.float64]
@@ -93,6 +93,7 @@ def modes_at(model: Model, instance: Any, t: float, h: float, period: float | No
 
 def step_matrix(model: Model, instance: Any, t: float, h: float, n: int = 1) -> Array:
     """dx/dx0 over the next n steps of `instance` (nx x nx)."""
+    require_smooth(model)
     names = [name for v in model.declaration.states for name in v.names()]
     tangents = Tangents(model, By.of(model.declaration, names))
     tangents.S = np.eye(len(names))

@@ -80,7 +80,7 @@ class Tangents:
     """The tangents of a run of `model`, from its start on; ValueError names what has none."""
 
     def __init__(self, model: Model, by: By):
-        require_smooth(model)
+        require_derived(model)
         self.model, self.by = model, by
         step, instant = model.step, model.instant
         #: of models with state events, whose instants move
@@ -228,12 +228,25 @@ def of_quantities(quantities: Sequence[Quantity], blocks: dict[str, Array], by: 
 
 
 def require_smooth(model: Model) -> None:
-    """ValueError for what has no tangents here."""
+    """ValueError for what steps by themselves, which no event interrupts, have no tangents of."""
     d = model.declaration
-    if d.switches or model.modes is not None:
+    if d.state_events:
+        names = ", ".join(e.guard.name for e in d.state_events[:3])
         raise ValueError(
-            f"{d.name} has ideal switches, which change the equations at state events; derivatives are told of models without "
-            "them: take breakers in series with an inductance, or valves"
+            f"{d.name} has state events ({names}), which end steps; runs are derived through them, steps by themselves are of "
+            "models without them"
+        )
+    require_derived(model)
+
+
+def require_derived(model: Model) -> None:
+    """ValueError for what runs have no tangents of."""
+    d = model.declaration
+    if model.modes is not None:
+        names = ", ".join(s.name for s in model.modes.modes.switches[:3])
+        raise ValueError(
+            f"{d.name} has ideal switches ({names}), which change its equations at state events; derivatives are told of models "
+            "without them: take switches in series with an inductance (breaker, ideal_diode)"
         )
     if model.step.carries or model.loses_energy:
         raise ValueError(

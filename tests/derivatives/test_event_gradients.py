@@ -106,18 +106,17 @@ def test_a_ball_has_its_closed_form(order: int, mode: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("order", [2, 6])
-def test_a_box_on_a_floor(order: int) -> None:
+def test_a_box_on_a_floor() -> None:
     """Corners with restitution and a skin that gives way, on a rigid body of redundant coordinates."""
     d = build("box_on_floor")
-    by = [f"corner1.{n}" for n in ("restitution", "stiffness", "damping")] + ["corner5.restitution"]
-    model, options = build_model(d, default_scheme(d, order)), Options(stop=0.3, step=0.01)
+    by = ["corner1.restitution", "corner1.stiffness"]
+    model, options = build_model(d), Options(stop=0.3, step=0.01)
     measures = ["last(energy.stored)", "integral(energy.stored)"]
     assert happened(model, options) >= 1
     found = gradient(model, NativeInstance(model), options, measures, by, mode="reverse")
     sizes = np.array([abs(known(d)[n]) for n in by])
     # the Schur sweep accepts at 1e-9
-    assert differ(found.slopes, differences(d, order, options, measures, by, 1e-5), sizes) < 1e-7
+    assert differ(found.slopes, differences(d, 2, options, measures, by, 1e-5), sizes) < 1e-7
 
 
 def test_little_memory_runs_again() -> None:

@@ -148,8 +148,8 @@ def test_units_and_names() -> None:
 
 
 REFUSED = {
-    "bouncing_ball": (["--sensitivity", "g"], "state events (floor), whose instants move with the parameters"),
-    "rectifier": (["--sensitivity", "load.R"], "state events (bridge.pair1.opens"),
+    "rectifier": (["--sensitivity", "load.R"], "ideal switches (bridge.pair1"),
+    "buffer": (["--sensitivity", "body.e", "--restart", "4"], "--sensitivity and --restart do not go together"),
     "clutch": (["--sensitivity", "engaged", "--stop", "0.01", "--step", "1e-3"], "ideal switches"),
     "smib": (["--sensitivity", "gen.Q"], "no parameter, state or input 'gen.Q'"),
     "oscillator": (["--sensitivity", "mass1.m", "--coupling", "newton"], "--sensitivity is for one composed model"),
