@@ -56,6 +56,10 @@ class Coupled:
     """
 
     what = "members stepped apart"
+    CARRIED = (
+        "joined", "last", "booking", "unknowns_told", "_growth", "_signals", "_agreed", "_apart", "_grown", "_sums", "_at_start",
+        "_lander",
+    )  # fmt: skip
 
     def __init__(
         self,
@@ -190,6 +194,11 @@ class Coupled:
         if data and self._switching:
             raise ValueError(self._switching.held_only)
         self.joined.followed = Followed(data, self.free_inputs) if data else None
+
+    @property
+    def unwritten(self) -> list[str]:
+        """Units whose states cannot be written to a file, and why."""
+        return [m.unwritten for m in self.joined.members if m.unwritten]
 
     def settable(self) -> list[str]:
         return self.joined.settable()

@@ -56,6 +56,7 @@ class Monolithic:
 
     what, instead = "one composed model", ""
     CARRIED = ("instance", "_inputs", "booking", "unknowns_told")
+    unwritten = ()
 
     def __init__(self, model: Model, instance: Any):
         self.model, self.instance = model, instance

@@ -66,6 +66,11 @@ class Stepper(Protocol):
         ...
 
     @property
+    def unwritten(self) -> Sequence[str]:
+        """Units whose states cannot be written to a file, and why."""
+        ...
+
+    @property
     def lands(self) -> bool:
         """Whether its steps end on the zeros of guards too, by `land`."""
         ...

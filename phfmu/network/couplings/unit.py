@@ -24,6 +24,7 @@ class FMUStepper:
     """One FMU as the whole system of a run."""
 
     what, instead = "an FMU, whose method is compiled in", "run the declaration with --engine native or python"
+    CARRIED = ("member", "booking", "_u")
 
     def __init__(self, unit: FMUInstance):
         self.member = FMUMember(unit.name, unit)
@@ -48,6 +49,11 @@ class FMUStepper:
         """Inputs of ports and others, as they are now."""
         given = self._u / self.member.input_sign
         return dict(zip(self.member.input_names, given.tolist(), strict=True)) | self.member.signals()
+
+    @property
+    def unwritten(self) -> list[str]:
+        """Itself, if its state cannot be written to a file, and why."""
+        return [self.member.unwritten] if self.member.unwritten else []
 
     @property
     def lands(self) -> bool:

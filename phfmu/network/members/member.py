@@ -39,6 +39,11 @@ class Member(Protocol):
     @property
     def saves(self) -> bool: ...
     @property
+    def unwritten(self) -> str:
+        """Its name and why its state cannot be written to a file; "" if it can."""
+        ...
+
+    @property
     def finishes(self) -> bool: ...
     @property
     def ended(self) -> bool:

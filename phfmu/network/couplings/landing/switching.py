@@ -188,6 +188,16 @@ class Switching:
         """To where the last step began."""
         self._steps.restore(self._saved)
 
+    def get_state(self) -> tuple[Any, Array]:
+        """That of the composed declaration, and the junction unknowns of the present instant."""
+        return self._whole.get_state(), self.xi
+
+    def set_state(self, state: tuple[Any, Array]) -> None:
+        """Goes on from what `get_state` gave, once the members are where they were then."""
+        whole, self.xi = state
+        self._whole.set_state(whole)
+        self._enter()
+
     def begin(self, h: float) -> Array:
         """Junction unknowns at the start of a run with steps of about h, in the modes that it starts with."""
         if self._whole.model.modes is not None:
