@@ -91,6 +91,9 @@ def _add_outputs(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--audit-detail", action="store_true",
                         help="tell each energy and each resistor by itself too (phfmu audit FILE --by term); one composed "
                              "model only")  # fmt: skip
+    parser.add_argument("--hash-states", type=int, default=0, metavar="N",
+                        help="each N steps hashes of the states of each member in the audit file: phfmu replay tells where "
+                             "they differ")  # fmt: skip
     parser.add_argument("--plot", metavar="FILE", help="picture of the run, X.png or X.html (see: phfmu plot)")
     parser.add_argument("--view", metavar="FILE", help="the motion of a mechanism, X.html or X.gif (see: phfmu view)")
     parser.add_argument(

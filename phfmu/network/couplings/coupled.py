@@ -200,6 +200,21 @@ class Coupled:
         """Units whose states cannot be written to a file, and why."""
         return [m.unwritten for m in self.joined.members if m.unwritten]
 
+    def hashed(self) -> dict[str, dict[str, float]]:
+        """By member its states and its time, by their names in it."""
+        return {m.name: m.hashed() for m in self.joined.members}
+
+    @property
+    def junctions(self) -> Array:
+        """Junction unknowns of the last step, means and those at its end."""
+        return np.concatenate([self.last.xi, self.last.end])
+
+    @property
+    def modes(self) -> tuple[int, ...]:
+        """The modes of the members' switches."""
+        members = (m for m in self.joined.members if isinstance(m, EngineMember) and m.model.modes is not None)
+        return tuple(mode for m in members for mode in m.instance.mode)
+
     def settable(self) -> list[str]:
         return self.joined.settable()
 

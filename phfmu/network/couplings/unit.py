@@ -64,6 +64,20 @@ class FMUStepper:
         """It has nothing to add."""
         return []
 
+    def hashed(self) -> dict[str, dict[str, float]]:
+        """Its states and its time, by their names."""
+        return {self.member.name: self.member.hashed()}
+
+    @property
+    def junctions(self) -> Array:
+        """It has none that it tells of."""
+        return np.zeros(0)
+
+    @property
+    def modes(self) -> tuple[int, ...]:
+        """Its switches are its own."""
+        return ()
+
     def settable(self) -> list[str]:
         return self.member.settable()
 

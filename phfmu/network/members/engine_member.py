@@ -201,6 +201,10 @@ class EngineMember:
         """States of engines are complete."""
         return ""
 
+    def hashed(self) -> dict[str, float]:
+        """Its states and its time."""
+        return self.states | {"time": float(self.instance.time)}
+
     def ledger(self) -> dict[str, Array]:
         book = self.instance.ledger()
         if len(self.taken) or len(self.sent):

@@ -322,6 +322,13 @@ class FMUMember:
 
         return unsteady(self.unit, h)
 
+    def hashed(self) -> dict[str, float]:
+        """States and time of a unit of this package; of another tool, all values that may change."""
+        own = self.states
+        if self.unit.estimated:
+            own |= dict(zip(self.names, self.unit.get(self.names).tolist(), strict=True))
+        return own | {"time": self.unit.time}
+
     def ledger(self) -> dict[str, Array]:
         """The unit's ledger of the last step; what it supplies to itself becomes the pair `inside`."""
         return self.booked(self.unit.ledger())

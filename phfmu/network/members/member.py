@@ -111,6 +111,10 @@ class Member(Protocol):
         """The difference when a step from here is repeated, in words; "" if there is none."""
         ...
 
+    def hashed(self) -> dict[str, float]:
+        """The values that tell where it is, by name: its states and its time, or all that it tells."""
+        ...
+
     def ledger(self) -> dict[str, Array]: ...
     def happened(self) -> list[StepEvent]:
         """Events within the last step."""

@@ -152,6 +152,9 @@ class SteppedLast:
     def start_inputs(self) -> Array:
         return self.inner.start_inputs()
 
+    def hashed(self) -> dict[str, float]:
+        return self.inner.hashed()
+
     def ledger(self) -> dict[str, Array]:
         return self.inner.ledger()
 
