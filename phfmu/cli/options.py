@@ -119,7 +119,7 @@ def of_run(args: argparse.Namespace, scene: Scene, *, whole: bool) -> Options:
         given["landing"] = args.step
     return Options(
         stop=stop, step=step, rtol=args.rtol, restart=restart, dense=args.dense, project=args.project, kept=tuple(args.keep),
-        audit_rtol=args.audit_rtol, audited=args.audit != "none", hash_states=args.hash_states,
+        audit_rtol=args.audit_rtol, audited=args.audit != "none",
         **{name: value for name, value in given.items() if value is not None},
     )  # fmt: skip
 

@@ -128,7 +128,7 @@ def call(args: argparse.Namespace) -> int:
     signals = tuple(args.signals)
     if args.sensitivity and signals:
         signals += (derivative_name("*", "*"),)
-    chosen = replace(chosen, events=events, signals=signals, every=_every(args.every))
+    chosen = replace(chosen, events=events, signals=signals, every=_every(args.every), hash_states=args.hash_states)
     if checkpoints.asked:
         chosen = replace(chosen, checkpoints=checkpoints)
         checkpoints.begin(stepper, chosen, outputs.marks)
