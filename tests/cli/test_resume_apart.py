@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import io
 import pickle
 import random
 from collections.abc import Callable, Mapping
@@ -14,7 +13,7 @@ import numpy as np
 import pytest
 
 from phfmu.cli import options
-from phfmu.cli.checkpoints import _Plain
+from phfmu.cli.checkpoints import plain
 from phfmu.cli.job import job_of
 from phfmu.cli.timeline import timeline
 from phfmu.cli.verbs import run as verb
@@ -60,7 +59,7 @@ def ended_often(args: argparse.Namespace, chance: random.Random, ends: int) -> t
     """The run, ended `ends` times at random; how often it went on."""
     kept: bytes | None = None
     for end in range(ends + 1):
-        found = None if kept is None else _Plain(io.BytesIO(kept)).load()
+        found = None if kept is None else plain(kept)
         try:
             return end, taken(args, Ending(chance.randint(1, 12) if end < ends else None, found))
         except Ended as ended:
@@ -79,29 +78,40 @@ def require_equal(was: Result, now: Result) -> None:
 
 RUNS = {
     "newton": "oscillator --coupling newton --stop 1",
-    "order 4, events of time": "two_machine --coupling newton --order 4 --stop 0.11 --step 1e-3",
     "anderson": "two_machine --coupling anderson --stop 0.02",
     "gauss-seidel, a sequence": "oscillator --coupling gauss-seidel --sequence mass1,spring12,mass2 --stop 1",
-    "jacobi": "oscillator --coupling jacobi --stop 0.5 --step 1e-3",
-    "size of steps by energy": "oscillator --coupling jacobi --stop 0.2 --ecco 1e-3",
     "state events": "two_point_control --coupling newton --order 4 --stop 3",
     "switches": "rectifier --coupling newton --order 4 --stop 0.02",
+    "units, FMI 3.0": "oscillator --coupling newton --stop 0.5 --engine fmu --order 4",
+    "one unit": "pendulum --stop 0.5 --engine fmu",
+}
+MORE = {
+    "events of time": "two_machine --coupling newton --order 4 --stop 0.11 --step 1e-3",
+    "jacobi": "oscillator --coupling jacobi --stop 0.5 --step 1e-3",
+    "order 6": "two_machine --coupling newton --order 6 --stop 0.02",
+    "size of steps by energy": "oscillator --coupling jacobi --stop 0.2 --ecco 1e-3",
     "clutch": "clutch_engagement --coupling newton --order 4",
     "damping after events": "two_point_control --coupling newton --order 4 --stop 3 --restart 2",
+    "damping after events of time": "two_machine --coupling newton --stop 0.11 --step 1e-3 --restart 3",
     "signals held": "speed_control --coupling gauss-seidel --stop 2",
+    "signals held, newton": "island --coupling newton --stop 0.05 --engine fmu",
     "signals at nodes": "speed_control --coupling newton --order 4 --stop 2",
-    "python": "oscillator --coupling newton --stop 0.3 --engine python",
+    "signals, switches": "buck --coupling newton --stop 0.002",
+    "python": "oscillator --coupling newton --stop 1 --engine python",
     "halved": "oscillator --coupling newton --stop 0.5 --unconverged halve",
-    "units, FMI 3.0": "oscillator --coupling newton --stop 0.5 --engine fmu --order 4",
     "units, FMI 2.0": "oscillator --coupling anderson --stop 0.5 --engine fmu --fmi 2.0",
-    "units in turn": "oscillator --coupling gauss-seidel --stop 0.5 --engine fmu",
-    "one unit": "pendulum --stop 0.5 --engine fmu",
+    "units in turn": "oscillator --coupling gauss-seidel --stop 1 --engine fmu",
+    "units in turn, FMI 2.0": "oscillator --coupling jacobi --step 1e-3 --stop 0.1 --engine fmu --fmi 2.0",
+    "units of their own process": "oscillator --coupling newton --stop 0.5 --engine fmu --isolate 10",
+    "one unit with events": "bouncing_ball --stop 0.7 --engine fmu",
+    "one unit, FMI 2.0": "pendulum --stop 0.5 --engine fmu --fmi 2.0",
+    "one member is a unit": "oscillator --coupling newton --stop 0.5 --member spring12=fmu",
 }
 
 
-@pytest.mark.parametrize("name", RUNS)
+@pytest.mark.parametrize("name", [*RUNS, *(pytest.param(name, marks=pytest.mark.slow) for name in MORE)])
 def test_a_run_goes_on_from_between_any_two_blocks(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    args = arguments(*RUNS[name].split())
+    args = arguments(*(RUNS | MORE)[name].split())
     was = taken(args, Ending(None))
     monkeypatch.setattr(march, "BLOCK", 3)  # steps of a block at most, as where the machine has other things to do
     resumed, now = ended_often(args, random.Random(name), 2)

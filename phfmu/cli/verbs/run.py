@@ -62,8 +62,7 @@ def add_parser(verbs: Any) -> None:
                         help="run again with half the step and tell by how much each signal changes, and the error of this "
                         "run that follows")  # fmt: skip
     parser.add_argument("--checkpoint", type=float, metavar="SECONDS",
-                        help="keep where the run is this often, in X.checkpoint beside -o or --audit; one composed "
-                        "model")  # fmt: skip
+                        help="keep where the run is this often, in X.checkpoint beside -o or --audit")  # fmt: skip
     parser.add_argument("--resume", metavar="FILE",
                         help="go on from a checkpoint of the same command line, to the same bits")  # fmt: skip
     parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
