@@ -112,11 +112,11 @@ class EndSums:
         """The columns (steps x names) with junction unknowns xi and outputs y under them at ends, a row a step."""
         assert self._maps is not None and self._parted is not None
         P, C, Q = self._maps
-        r = y @ P + xi @ C
+        r = _by_row(y, P) + _by_row(xi, C)
         ends = xi + self._parted.answer(r)
         if not self._checked:
             return ends
-        left, against = r @ Q, [i if i != j else -1 for i, j in zip(self._against, self._checked, strict=True)]
+        left, against = _by_row(r, Q), [i if i != j else -1 for i, j in zip(self._against, self._checked, strict=True)]
         base = np.where(np.array(against) < 0, 0.0, left[:, against])
         return np.hstack([ends, left[:, self._checked] - base])
 
@@ -165,3 +165,9 @@ class EndSums:
         ports = junction.ports(self.joined.network.members)
         givers = {str(e): p for e, p in ports.items() if p.given != junction.shared}
         return spread_words(next(iter(givers.values())), tuple(givers), value)
+
+
+def _by_row(rows: Array, M: Any) -> Array:
+    """rows @ M, each row by itself: BLAS rounds products of several rows in an order of its own, and rows come in blocks of any
+    length."""
+    return (rows[:, None] @ M)[:, 0] if isinstance(M, np.ndarray) else rows @ M
