@@ -163,7 +163,7 @@ def test_members_have_the_same_hashes_native_and_as_units(order: str, cli: Cli) 
     "words",
     [
         ["bouncing_ball", "--stop", "0.6", "--step", "0.01"],
-        ["drive", "--stop", "0.05", "--rtol", "1e-5"],
+        ["drive", "--stop", "0.01", "--rtol", "1e-4"],
         ["buffer", "--stop", "3", "--rtol", "1e-4"],
         ["rectifier", "--coupling", "newton", "--order", "4", "--stop", "0.008"],
         ["pendulum", "--stop", "0.3", "--engine", "fmu"],

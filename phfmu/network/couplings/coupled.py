@@ -212,6 +212,8 @@ class Coupled:
     @property
     def modes(self) -> tuple[int, ...]:
         """The modes of the members' switches."""
+        if self._switching is not None:
+            return self._switching.modes
         members = (m for m in self.joined.members if isinstance(m, EngineMember) and m.model.modes is not None)
         return tuple(mode for m in members for mode in m.instance.mode)
 

@@ -133,6 +133,11 @@ class Switching:
         ]  # fmt: skip
 
     @property
+    def modes(self) -> tuple[int, ...]:
+        """Modes of the switches of all members."""
+        return () if self._whole.model.modes is None else self._whole.mode
+
+    @property
     def unsettled(self) -> bool:
         """Modes were set that are not taken yet."""
         return self._whole.model.modes is not None and self._whole.unsettled
