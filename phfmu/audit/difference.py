@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 #: kinds of rows of steps, those of members first: what differs there may follow in the others
-STEPS = (RowKind.COMPONENT, RowKind.STATE, RowKind.TERM, RowKind.PORT, RowKind.JUNCTION, RowKind.PART, RowKind.NETWORK)
+STEPS = (RowKind.COMPONENT, RowKind.HASH, RowKind.TERM, RowKind.PORT, RowKind.JUNCTION, RowKind.PART, RowKind.NETWORK)
 #: quantities that are rounding, and follow others
 ROUNDINGS = ("residual", "residual_rel", "unexplained", "cum_unexplained", "junction_residual", "cum_junction_residual")
 #: of an energy: what its rounding may be in H1 - H0 - dH
@@ -63,6 +63,8 @@ class Difference:
             if self.step is not None
             else f"event at t = {self.time:.9g} s"
         )
+        if self.kind is RowKind.HASH and self.quantity == self.kind:
+            return f"{where}: hash of {self.what} was {_shown(self.was)}, is {_shown(self.now)}"
         return f"{where}: {self.kind} {self.what}: {self.quantity} was {_shown(self.was)}, is {_shown(self.now)}"
 
 
@@ -78,14 +80,14 @@ def first_differences(was: pa.Table, now: pa.Table) -> list[Difference]:
     first = min((d.time for d in (*found, *events)), default=0.0)
     found = [d for d in (*found, *events) if d.time == first]
     order = [RowKind.EVENT, *STEPS]  # what happens at the start of a step comes before it
-    states = [d for d in found if d.kind is RowKind.STATE]
-    some = bool(states) and len(states) < rows[RowKind.STATE][0].of_step(states[0].step)
+    states = [d for d in found if d.kind is RowKind.HASH]
+    some = bool(states) and len(states) < rows[RowKind.HASH][0].of_step(states[0].step)
 
     def arose(d: Difference) -> bool:
-        return d.kind is RowKind.EVENT or d.jump > 0.0 or (some and d.kind is RowKind.STATE)
+        return d.kind is RowKind.EVENT or d.jump > 0.0 or (some and d.kind is RowKind.HASH)
 
     def place(d: Difference) -> tuple[Any, ...]:
-        last = d.kind is RowKind.STATE and not some  # they differ for all: what follows from what is in the ledger
+        last = d.kind is RowKind.HASH and not some  # they differ for all: what follows from what is in the ledger
         return not arose(d), last, order.index(d.kind), d.quantity in ROUNDINGS, -d.jump, -d.size
 
     return sorted(found, key=place)

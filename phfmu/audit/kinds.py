@@ -25,7 +25,7 @@ class RowKind(StrEnum):
     NETWORK = "network"
     TERM = "term"  # of H or R of a component
     EVENT = "event"
-    STATE = "state"  # hash of where a component, or another part of the run, is at the end of a step
+    HASH = "hash"  # of where a component, or another part of the run, is at the end of a step
 
 
 class Quality(StrEnum):

@@ -135,7 +135,7 @@ def test_a_turned_bit_of_a_state_without_energy_is_found_by_its_hash(
     code, out, _ = cli("replay", "a.parquet")
     assert code == 1
     first = out.splitlines()
-    assert first[0].startswith(f"first difference: step {found} from t = {found * 0.01:.9g} s: state m: hash was "), out
+    assert first[0].startswith(f"first difference: step {found} from t = {found * 0.01:.9g} s: hash of m was "), out
     assert not any("also" in line for line in first), out
 
 
@@ -144,7 +144,7 @@ def states_of(path: str) -> dict[tuple[int, str], str]:
     table = read(path)
     kinds, *columns = (table[n].to_pylist() for n in ("row", "step", "component", "hash"))
     return {
-        (step, name): found for kind, step, name, found in zip(kinds, *columns, strict=True) if kind == "state" and name
+        (step, name): found for kind, step, name, found in zip(kinds, *columns, strict=True) if kind == "hash" and name
     }
 
 

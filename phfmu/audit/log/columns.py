@@ -81,7 +81,7 @@ FIELDS: dict[RowKind, tuple[str, ...]] = {
     ),
     RowKind.TERM: ("component", "term", "dH", "dissipated"),
     RowKind.EVENT: ("kind", "component", "energy_jump", "lost", "message"),
-    RowKind.STATE: ("component", "part", "hash"),
+    RowKind.HASH: ("component", "part", "hash"),
 }
 
 Encode = Callable[[str, Sequence[str | None]], NDArray[np.int32]]
@@ -116,8 +116,8 @@ def event_section(events: Sequence[EventRow], encode: Encode) -> Section:
 
 def state_section(rows: Sequence[StateRow], encode: Encode) -> Section:
     """Rows of hashes of states."""
-    values: dict[str, Sequence[Any]] = {"row": [RowKind.STATE] * len(rows)}
-    values |= {n: [getattr(row, n) for row in rows] for n in ("step", "t0", "h", *FIELDS[RowKind.STATE])}
+    values: dict[str, Sequence[Any]] = {"row": [RowKind.HASH] * len(rows)}
+    values |= {n: [getattr(row, n) for row in rows] for n in ("step", "t0", "h", *FIELDS[RowKind.HASH])}
     return Section(len(rows), {column: _filled(column, entries, encode) for column, entries in values.items()})
 
 
