@@ -4,7 +4,8 @@ Rows of a log stand in the order in which blocks of steps were written, which is
 and name.  Numbers are equal if their bits are, so that 0 and -0 differ and a nan equals itself.
 
 In a step of coupled members a wrong bit of one changes all of them.  The one where it arose is known by its energy: between the
-steps it became another, so that H1 - H0 is no longer what the step stored, while it is for the others.
+steps it became another, so that H1 - H0 is no longer what the step stored, while it is for the others.  A state from which no
+energy follows differs in its hash, where the log has hashes, while those of others are the same.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 #: kinds of rows of steps, those of members first: what differs there may follow in the others
-STEPS = (RowKind.COMPONENT, RowKind.TERM, RowKind.PORT, RowKind.JUNCTION, RowKind.PART, RowKind.NETWORK)
+STEPS = (RowKind.COMPONENT, RowKind.HASH, RowKind.TERM, RowKind.PORT, RowKind.JUNCTION, RowKind.PART, RowKind.NETWORK)
 #: quantities that are rounding, and follow others
 ROUNDINGS = ("residual", "residual_rel", "unexplained", "cum_unexplained", "junction_residual", "cum_junction_residual")
 #: of an energy: what its rounding may be in H1 - H0 - dH
@@ -62,6 +63,8 @@ class Difference:
             if self.step is not None
             else f"event at t = {self.time:.9g} s"
         )
+        if self.kind is RowKind.HASH and self.quantity == self.kind:
+            return f"{where}: hash of {self.what} was {_shown(self.was)}, is {_shown(self.now)}"
         return f"{where}: {self.kind} {self.what}: {self.quantity} was {_shown(self.was)}, is {_shown(self.now)}"
 
 
@@ -70,13 +73,24 @@ def _shown(value: Any) -> str:
 
 
 def first_differences(was: pa.Table, now: pa.Table) -> list[Difference]:
-    """All that differs in the first step or event with a difference: events, members, all others."""
-    found = [d for kind in STEPS for d in _of_kind(kind, _Rows(was, kind), _Rows(now, kind))]
+    """All that differs in the first step or event with a difference: events, members in which it arose, all others."""
+    rows = {kind: (_Rows(was, kind), _Rows(now, kind)) for kind in STEPS}
+    found = [d for kind, (a, b) in rows.items() for d in _of_kind(kind, a, b)]
     events = list(_of_kind(RowKind.EVENT, _Rows(was, RowKind.EVENT), _Rows(now, RowKind.EVENT)))
     first = min((d.time for d in (*found, *events)), default=0.0)
     found = [d for d in (*found, *events) if d.time == first]
     order = [RowKind.EVENT, *STEPS]  # what happens at the start of a step comes before it
-    return sorted(found, key=lambda d: (order.index(d.kind), d.quantity in ROUNDINGS, -d.jump, -d.size))
+    states = [d for d in found if d.kind is RowKind.HASH]
+    some = bool(states) and len(states) < rows[RowKind.HASH][0].of_step(states[0].step)
+
+    def arose(d: Difference) -> bool:
+        return d.kind is RowKind.EVENT or d.jump > 0.0 or (some and d.kind is RowKind.HASH)
+
+    def place(d: Difference) -> tuple[Any, ...]:
+        last = d.kind is RowKind.HASH and not some  # they differ for all: what follows from what is in the ledger
+        return not arose(d), last, order.index(d.kind), d.quantity in ROUNDINGS, -d.jump, -d.size
+
+    return sorted(found, key=place)
 
 
 class _Rows:
@@ -118,6 +132,10 @@ class _Rows:
         """An entry of a column in order."""
         column = self.columns.get(name)
         return None if column is None else column[int(self.order[i])].as_py()
+
+    def of_step(self, step: int | None) -> int:
+        """How many rows a step has."""
+        return 0 if self.step is None else int((self.step == step).sum())
 
     def what(self, i: int) -> str:
         """The name of a row."""

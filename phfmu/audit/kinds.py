@@ -25,6 +25,7 @@ class RowKind(StrEnum):
     NETWORK = "network"
     TERM = "term"  # of H or R of a component
     EVENT = "event"
+    HASH = "hash"  # of where a component, or another part of the run, is at the end of a step
 
 
 class Quality(StrEnum):

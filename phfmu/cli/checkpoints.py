@@ -164,7 +164,12 @@ def _read(path: Path, shown: str) -> tuple[dict[str, Any], Mapping[str, Any]]:
         raise ValueError(f"--resume {shown} is no checkpoint of phfmu run")
     if hashlib.sha256(body).hexdigest() != head["sha256"]:
         raise ValueError(f"--resume {shown} is damaged: its bytes are not those that were written; begin the run anew")
-    return head, _Plain(io.BytesIO(body)).load()
+    return head, plain(body)
+
+
+def plain(body: bytes) -> Mapping[str, Any]:
+    """The data of a checkpoint; ValueError where it names anything but numbers and classes of phfmu."""
+    return _Plain(io.BytesIO(body)).load()
 
 
 class _Plain(pickle.Unpickler):

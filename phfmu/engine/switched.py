@@ -38,8 +38,6 @@ class SwitchedInstance(Signals):
     those of the model; the hidden constraints of a mode hold by what entering it does.
     """
 
-    CARRIED = ("typical_step",)
-
     def __init__(self, model: Model, make: Callable[[Model], Any]):
         if model.modes is None:
             raise ValueError(f"{model.name} has no switches: make the instance itself")
@@ -254,15 +252,20 @@ class SwitchedInstance(Signals):
 
     def get_state(self) -> Any:
         """A complete copy, modes included."""
-        own = self._mode, self._asked, self._started, self._last
+        own = self._mode, self._asked, self._started, self._last, self.typical_step
         return own, self.present.get_state()
 
     def set_state(self, state: Any) -> None:
         """Restores what `get_state` gave; stepping on gives the same bits, over changes of modes too."""
-        (self._mode, self._asked, self._started, self._last), inner = state
+        inner = self._own_state(state)
         self.present.set_state(inner)
 
     def restore(self, state: Any) -> None:
         """`set_state`; the counts of what the solver did go on."""
-        (self._mode, self._asked, self._started, self._last), inner = state
+        inner = self._own_state(state)
         self.present.restore(inner)
+
+    def _own_state(self, state: Any) -> Any:
+        """Takes what is its own of a state, and gives that of the instance of the mode."""
+        (self._mode, self._asked, self._started, self._last, self.typical_step), inner = state
+        return inner

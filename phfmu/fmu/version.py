@@ -21,8 +21,9 @@ class Version:
     `number`: `fmiVersion` of what is written; `reads`: pattern of that of what is read.  `prefix`: of functions, headers of the
     standard and names of archives.  `layers`: files of `runtime/` that no other version uses.  `names`: module, see Names.
     `folders`: platform -> folders in binaries/, the first is written, all are read; a platform that is not listed is called
-    as it is.  `token`, `saves`, `derives`: attributes of modelDescription.xml.  `inner`: where the type of a variable is an
-    element inside its own, what that is called -> type of variables; empty where a variable is an element of its type.
+    as it is.  `token`, `saves`, `serialises`, `derives`: attributes of modelDescription.xml.  `inner`: where the
+    type of a variable is an element inside its own, what that is called -> type of variables; empty where a variable is an
+    element of its type.
     `types`: type of variables -> word of its functions, element of their arrays.  `arrays`: variables may be arrays, so
     functions also take the number of values.
     """
@@ -35,6 +36,7 @@ class Version:
     folders: Mapping[str, tuple[str, ...]]
     token: str
     saves: str
+    serialises: str
     derives: str
     inner: Mapping[str, str]
     types: Mapping[str, tuple[str, Any]]
@@ -114,6 +116,7 @@ FMI2 = Version(
     },
     token="guid",
     saves="canGetAndSetFMUstate",
+    serialises="canSerializeFMUstate",
     derives="providesDirectionalDerivative",
     inner={"Real": "Float64", "Integer": "Int32", "Boolean": "Boolean", "Enumeration": "Enumeration"},
     types={
@@ -134,6 +137,7 @@ FMI3 = Version(
     folders={},
     token="instantiationToken",
     saves="canGetAndSetFMUState",
+    serialises="canSerializeFMUState",
     derives="providesDirectionalDerivatives",
     inner={},
     types={

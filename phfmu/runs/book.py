@@ -38,6 +38,8 @@ class Book:
         self.stepper, self.ledger = stepper, ledger
         self._tell = tell
         self.steps, self.iterations = 0, 0.0
+        #: start and length of the last step
+        self.last = 0.0, 0.0
         self._watch = [(n, i) for i, n in enumerate(stepper.names) if n.startswith(CONSTRAINT)]
         self._worst = dict.fromkeys((n for n, _ in self._watch), 0.0)
         self._H = np.zeros(0)
@@ -176,7 +178,7 @@ class Book:
         self._H = s.H[-1]
         numerical = s.numerical if s.numerical is not None and s.numerical.any() else None
         self.ledger.add(self.booking, k, t, h, replace(s, numerical=numerical), before)
-        self.steps += n
+        self.steps, self.last = self.steps + n, (float(t[-1]), float(h[-1]))
         self.iterations += s.spent
         self._keep_least(t, h, s)
         self._keep_given_up(t, s)

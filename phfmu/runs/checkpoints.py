@@ -44,8 +44,11 @@ class Carriers:
 
 
 def require_continued(stepper: Stepper) -> None:
-    """ValueError for a stepper whose state cannot be kept in a file."""
+    """ValueError for a stepper whose state cannot be kept in a file, with the units that bar it."""
     if not hasattr(type(stepper), "CARRIED"):
+        raise ValueError(f"--checkpoint: the state of {stepper.what} cannot be kept in a file; leave the option out")
+    if stepper.unwritten:
         raise ValueError(
-            f"--checkpoint is for one composed model, here it is {stepper.what}; {stepper.instead}, or leave it out"
+            f"--checkpoint: {'; '.join(stepper.unwritten)}; leave the option out, or take units that can save their states and "
+            "write them to a file (canGetAndSetFMUState, canSerializeFMUState), as those of phfmu export"
         )

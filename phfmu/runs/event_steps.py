@@ -83,7 +83,7 @@ class EventSteps:
     With restart steps the rest of a step with an event and the `restart` steps after it are taken with damping.
     """
 
-    CARRIED = ("place", "_ringing", "_damped")
+    CARRIED = ("place", "pace", "_ringing", "_damped")
 
     def __init__(self, stepper: Monolithic | Coupled, book: Book, options: Options):
         #: where it is, and what is called there between two blocks
@@ -91,7 +91,7 @@ class EventSteps:
         _require_fit(options)
         self.stepper, self.step, self.restart = stepper, options.step, options.restart
         self._ringing = Ringing(stepper, options.step, self.restart)
-        self._booked, self._pace = Booked(stepper, book, self._ringing), Pace()
+        self._booked, self.pace = Booked(stepper, book, self._ringing), Pace()
         self._damped = Restart(stepper) if self.restart else None
 
     def takes_inputs(self, name: str) -> bool:
@@ -115,14 +115,14 @@ class EventSteps:
             while first < n:
                 self.place = Place(piece, first, left, changed)
                 self.between_blocks()
-                grid = Grid(t, h, self._ringing.block(min(self._pace.steps, n - first)), first)
+                grid = Grid(t, h, self._ringing.block(min(self.pace.steps, n - first)), first)
                 if self._damped is None:
                     yield from self._booked.rows(self.stepper.land(t, h, grid.n, first, changed))
                     taken = grid.n
                 else:
                     taken, left = yield from self._restarting(self._damped, grid, changed, left)
                 first, changed = first + taken, False
-                self._pace.handed_over(taken)
+                self.pace.handed_over(taken)
 
     def _restarting(
         self, damped: Restart, grid: Grid, changed: bool, left: int
@@ -161,7 +161,7 @@ class AdaptiveEventSteps:
     step is landed whole, with all of its events, so that those that pile up come to rest.  Compiled code marches where it can.
     """
 
-    CARRIED = ("place", "_adaptive", "_march", "_damped", "_crowd")
+    CARRIED = ("place", "pace", "_adaptive", "_march", "_damped", "_crowd")
 
     def __init__(self, stepper: Monolithic, book: Book, options: Options):
         from phfmu.runs.adaptive import Adaptive
@@ -174,7 +174,7 @@ class AdaptiveEventSteps:
         self._booked, self._adaptive = Booked(stepper, book), Adaptive(stepper, options, options.rtol)
         damps = self.restart > 0 and not stepper.model.loses_energy
         self._damped = Restart(stepper, companion=self._adaptive.other) if damps else None
-        self._march, self._pace, self._crowd = self._adaptive.march(pauses=damps), Pace(), 0
+        self._march, self.pace, self._crowd = self._adaptive.march(pauses=damps), Pace(), 0
 
     def takes_inputs(self, name: str) -> bool:
         """Steps of any length stop where an input changes."""
@@ -208,13 +208,13 @@ class AdaptiveEventSteps:
 
     def _many(self, march: NativeMarch, t: float, ahead: Array) -> Generator[Row, None, float]:
         """Steps of compiled code; where they end."""
-        own, room, taken = self.stepper.instance, self._pace.steps, 0
+        own, room, taken = self.stepper.instance, 1 if self.pace.counts else self.pace.steps, 0
         before = self.stepper.row_before(own)
         parts = self.stepper.landings(own, before, march.land(t, ahead, room))
         for row in self._booked.rows(parts):
             taken += len(row[0])
             yield row
-        self._pace.handed_over(max(taken, 1))
+        self.pace.handed_over(max(taken, 1), 0 if march.unfinished else 1)
         return march.t
 
     def _one(self, t: float, goal: float, damped: bool) -> Generator[Row, None, float]:
@@ -230,6 +230,7 @@ class AdaptiveEventSteps:
         else:
             parts = self.stepper.landed(self.stepper.instance, Grid(t, h / n, n, pause=pause), False)
         yield from self._booked.rows(parts, spent)
+        self.pace.count(1)
         found = self._booked.event
         if not pause or found is None or found >= end:
             self._crowd = 0

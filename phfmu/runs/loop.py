@@ -60,6 +60,8 @@ def _run(stepper: Stepper, options: Options, events: Callable[..., Iterator[Even
         options.columns(told.names, told.units, told.kinds, told.labels)
     book, rows = Book(stepper, ledger, options.happened), Rows(options)
     march = _march(stepper, book, options)
+    if options.hash_states:
+        _hash_states(stepper, book, march, options)
     before, projection = stepper.rest_changes(), None
     carriers = Carriers(stepper=stepper, book=book, ledger=ledger, rows=rows, columns=told, march=march)
     found = _kept(stepper, march, carriers, options)
@@ -110,6 +112,15 @@ def _run(stepper: Stepper, options: Options, events: Callable[..., Iterator[Even
         least={c: (t, dict(zip(stepper.names, row.tolist(), strict=True))) for c, (t, row) in book.least.items()},
         kinds=told.kinds, labels=told.labels, **facts,
     )  # fmt: skip
+
+
+def _hash_states(stepper: Stepper, book: Book, march: Any, options: Options) -> None:
+    """Has hashes of states written to the audit; ValueError where there is no file for them."""
+    if options.sink is None:
+        raise ValueError(f"--hash-states {options.hash_states} writes to the audit; give --audit FILE, or leave it out")
+    from phfmu.runs.state_hashes import StateHashes
+
+    StateHashes(stepper, book, march, options)
 
 
 def _kept(stepper: Stepper, march: Any, carriers: Carriers, options: Options) -> Mapping[str, Any] | None:

@@ -6,7 +6,7 @@ Rows are handed over in blocks: what is on its way to the audit and the result f
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import islice
@@ -96,28 +96,55 @@ def nowhere() -> None:
 
 
 class Pace:
-    """How many steps to take before their rows are handed over, from the wall time that steps took."""
+    """How many steps to take before their rows are handed over, from the wall time that steps took.
+
+    Where something is to be done each so many steps, whatever the time, blocks end there.
+    """
+
+    CARRIED = ("_count",)
 
     def __init__(self) -> None:
-        self.steps = 1
-        self._since = perf_counter()
+        self._steps, self._since = 1, perf_counter()
+        self._each, self._do, self._count = 0, nowhere, 0
+
+    def each(self, steps: int, do: Callable[[], None]) -> None:
+        """Has `do` called each so many steps."""
+        self._each, self._do = steps, do
+
+    @property
+    def counts(self) -> bool:
+        """Whether something is done each so many steps."""
+        return self._each > 0
+
+    @property
+    def steps(self) -> int:
+        """Steps of the next block."""
+        return min(self._steps, self._each - self._count) if self._each else self._steps
 
     def full(self, taken: int) -> bool:
         """Whether the steps since the last rows fill a block."""
         return taken >= BLOCK or perf_counter() - self._since >= BLOCK_SECONDS
 
-    def handed_over(self, taken: int) -> None:
-        """After `taken` steps with all that was done with their rows."""
+    def handed_over(self, taken: int, counted: int | None = None) -> None:
+        """After `taken` steps with all that was done with their rows; `counted`: where other than these count."""
         now = perf_counter()
         fit = int(BLOCK_SECONDS * taken / max(now - self._since, 1e-9))
-        self.steps = max(1, min(fit, GROWTH * taken, BLOCK))
+        self._steps = max(1, min(fit, GROWTH * taken, BLOCK))
         self._since = now
+        self.count(taken if counted is None else counted)
+
+    def count(self, taken: int) -> None:
+        """After so many steps, all that belongs to them being done."""
+        self._count += taken
+        if self._each and self._count >= self._each:
+            self._count = 0
+            self._do()
 
 
 class FixedSteps:
     """Equal steps; the first `restart` ones after an event with damping, also after one inside the step of a member."""
 
-    CARRIED = ("place", "_cut", "_longest", "_happened", "_damped", "_ringing")
+    CARRIED = ("place", "pace", "_cut", "_longest", "_happened", "_damped", "_ringing")
 
     def __init__(self, stepper: Stepper, book: Book, options: Options):
         #: where it is, and what is called there between two blocks
@@ -126,7 +153,7 @@ class FixedSteps:
         self._damped = Restart(stepper) if self.restart else None
         self._alone = self._damped is not None and self._damped.events_inside
         self._cut: list[float] = []
-        self._pace = Pace()
+        self.pace = Pace()
         self._longest, self._happened = 0.0, False
         self._ringing = Ringing(stepper, options.step, self.restart)
 
@@ -155,12 +182,12 @@ class FixedSteps:
                 if h < self.step * (1 - 1e-9) and not first:
                     self._cut.append(h)
                 damped = left > 0 and self._damped is not None
-                count = 1 if damped or self._alone else self._ringing.block(min(self._pace.steps, n - first))
+                count = 1 if damped or self._alone else self._ringing.block(min(self.pace.steps, n - first))
                 inputs = stretch.inputs.within(first, count)
                 yield from self._booked(t, h, first, count, damped, inputs)
                 first, left = first + count, self.restart if self._happened else max(left - 1, 0)
                 self.place = Place(piece, first, left)
-                self._pace.handed_over(count)
+                self.pace.handed_over(count)
 
     def facts(self) -> dict[str, Any]:
         """Facts about the steps for the result."""
@@ -209,7 +236,7 @@ class FixedSteps:
 class AdaptiveSteps:
     """Steps that keep a tolerance; multiples of `landing` after each event are landed on."""
 
-    CARRIED = ("place", "adaptive", "_restarted", "_wanted")
+    CARRIED = ("place", "pace", "adaptive", "_restarted", "_wanted")
 
     def __init__(self, stepper: Stepper, book: Book, options: Options):
         #: where it is, and what is called there between two blocks
@@ -217,7 +244,7 @@ class AdaptiveSteps:
         self.book, self.restart, self.landing = book, options.restart, options.landing
         self.adaptive = _sized(stepper, options)
         self._restarted, self._wanted = 0, 0
-        self._pace = Pace()
+        self.pace = Pace()
 
     def takes_inputs(self, name: str) -> bool:
         """Steps of any length stop where an input changes."""
@@ -239,16 +266,16 @@ class AdaptiveSteps:
                     if not rows:
                         self.place = Place(t=times[-1], left=left)
                         self.between_blocks()
-                    ends, steps, failure = self._taken(times[-1], ahead, left > 0, self._pace.steps - len(times) + 1)
+                    ends, steps, failure = self._taken(times[-1], ahead, left > 0, self.pace.steps - len(times) + 1)
                     left = max(left - 1, 0)
                     times += ends
                     rows += [] if steps is None else [steps]
                     if failure is not None:
                         raise failure
                     taken = len(times) - 1
-                    if taken >= self._pace.steps or self._pace.full(taken):
+                    if taken >= self.pace.steps or self.pace.full(taken):
                         yield self._booked(times, rows)
-                        self._pace.handed_over(taken)
+                        self.pace.handed_over(taken)
                         times, rows = times[-1:], []
         except StepFailure as failure:
             if rows:
@@ -257,6 +284,7 @@ class AdaptiveSteps:
             raise
         if rows:
             yield self._booked(times, rows)
+            self.pace.handed_over(len(times) - 1)
 
     def facts(self) -> dict[str, Any]:
         """Facts about the steps for the result."""

@@ -37,6 +37,7 @@ class Options:
     audited:  whether a ledger is kept and judged
     audit_rtol:  allowed residual of the ledger, relative to the energies in play
     sink:  an audit sink (AuditWriter) that gets every ledger row as it is made
+    hash_states:  the sink gets hashes of the states each so many steps, 0 never (see `state_hashes.py`)
     columns:  called with names, units, kinds and labels of the rows' columns, before the first row
     keep:  receives (time, values, whether a row lies within a step) blocks instead of collecting them; also those
         accepted before a failure
@@ -65,6 +66,7 @@ class Options:
     audited: bool = True
     audit_rtol: float = 1e-11
     sink: Any = None
+    hash_states: int = 0
     columns: Callable[[Sequence[str], Sequence[str], Sequence[str], Sequence[str]], None] | None = None
     keep: Keep | None = None
     happened: Callable[[float, str], None] | None = None
@@ -94,6 +96,8 @@ class Options:
             raise ValueError(f"--keep {self.kept[0]} says what a projection leaves alone; add --project")
         if self.sink is not None and not self.audited:
             raise ValueError("an audit file needs a ledger: leave out --audit none")
+        if self.hash_states < 0:
+            raise ValueError(f"--hash-states {self.hash_states}: expected a number of steps from 1")
         ledger_tolerance(self.audit_rtol, "--audit-rtol")
 
 

@@ -6,6 +6,7 @@ import random
 import subprocess
 import sys
 import time
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -24,6 +25,14 @@ RUNS = {
     "events within a tolerance": ("buffer", "--stop", "60", "--rtol", "1e-6"),
     "switches": ("buck", "--stop", "0.02"),
     "thinned": ("pendulum", "--stop", "3000", "--every", "7"),
+    "members apart, hashes": ("oscillator", "--coupling", "newton", "--stop", "20", "--hash-states", "7"),
+}
+#: units of their own libraries;  in turn;  switches of members that land as one
+APART = {
+    "units": ("oscillator", "--coupling", "newton", "--stop", "20", "--engine", "fmu"),
+    "in turn": ("oscillator", "--coupling", "gauss-seidel", "--stop", "40"),
+    "switches": ("rectifier", "--coupling", "newton", "--order", "4", "--stop", "0.2"),
+    "one unit": ("pendulum", "--stop", "100", "--engine", "fmu", "--fmi", "2.0"),
 }
 
 
@@ -60,10 +69,10 @@ def require_equal(was: Path, now: Path, table: str) -> None:
     assert not (now / table).with_suffix(".checkpoint").exists()
 
 
-@pytest.mark.parametrize("name", RUNS)
+@pytest.mark.parametrize("name", [*RUNS, *(pytest.param(name, marks=pytest.mark.slow) for name in APART)])
 def test_a_killed_run_goes_on_to_the_same_bits(name: str, tmp_path: Path) -> None:
     """Each kind of march, killed twice at random, with the table as CSV or Parquet."""
-    run, table = RUNS[name], "t.parquet" if name == "equal" else "t.csv"
+    run, table = (RUNS | APART)[name], "t.parquet" if name == "equal" else "t.csv"
     was, now = tmp_path / "was", tmp_path / "now"
     was.mkdir(), now.mkdir()
     subprocess.run(command(was, run, table), check=True)
@@ -82,6 +91,17 @@ def test_a_hundred_kills_at_random(tmp_path: Path) -> None:
         now.mkdir()
         done += killed(now, run, "t.csv", chance, 5)
         require_equal(was, now, "t.csv")
+
+
+def without_serialised_states(path: Path, to: Path) -> Path:
+    """The unit with a description that does not claim them."""
+    with zipfile.ZipFile(path) as old, zipfile.ZipFile(to, "w") as new:
+        for name in old.namelist():
+            data = old.read(name)
+            if name == "modelDescription.xml":
+                data = data.replace(b'canSerializeFMUState="true"', b'canSerializeFMUState="false"')
+            new.writestr(name, data)
+    return to
 
 
 @pytest.fixture
@@ -120,8 +140,10 @@ def test_a_damaged_checkpoint_is_refused(checkpoint: str, cli: Cli) -> None:
 
 
 def test_what_has_no_checkpoints_is_refused_before_the_first_step(cli: Cli, tmp_path: Path) -> None:
+    assert cli("export", "pendulum", "-o", str(tmp_path / "p.fmu"), "--no-check")[0] == 0
+    unit = without_serialised_states(tmp_path / "p.fmu", tmp_path / "q.fmu")
     for more, words in (
-        (("two_machine", "--coupling", "newton"), "members stepped apart"),
+        ((str(unit),), "pendulum cannot write its state to a file"),
         (("pendulum", "--plot", str(tmp_path / "p.png")), "--plot is not kept"),
         (("pendulum", "--checkpoint", "-1"), "--checkpoint -1 s"),
     ):

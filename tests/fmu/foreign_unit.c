@@ -295,13 +295,26 @@ static int forget(void **state) {
     return 0;
 }
 
+/* A state that may have been written by another process: what leads out of it is of this one. */
+static int from_bytes(const unit *m, const void *bytes, size_t size, void **state) {
+    unit *s = malloc(sizeof(unit));
+    if (!s || size != sizeof(unit))
+        return 3;
+    memcpy(s, bytes, size);
+    s->callbacks = m->callbacks;
+    s->log = m->log;
+    s->environment = m->environment;
+    *state = s;
+    return 0;
+}
+
 /* a call that has nothing to do */
 #define IDLE(version, call)                                                                                  \
     version##Status version##call(void *c) {                                                                 \
         return version##OK;                                                                                  \
     }
 
-#define STATES(version, State)                                                                               \
+#define STATES(version, State, Read)                                                                         \
     version##Status version##GetFMU##State(void *c, void **state) {                                          \
         return (version##Status)save(c, state);                                                              \
     }                                                                                                        \
@@ -310,6 +323,18 @@ static int forget(void **state) {
     }                                                                                                        \
     version##Status version##FreeFMU##State(void *c, void **state) {                                         \
         return (version##Status)forget(state);                                                               \
+    }                                                                                                        \
+    version##Status version##SerializedFMU##State##Size(void *c, void *state, size_t *size) {                \
+        *size = sizeof(unit);                                                                                \
+        return version##OK;                                                                                  \
+    }                                                                                                        \
+    version##Status version##SerializeFMU##State(void *c, void *state, version##Byte to[], size_t size) {    \
+        memcpy(to, state, size);                                                                             \
+        return version##OK;                                                                                  \
+    }                                                                                                        \
+    version##Status version##Read##FMU##State(void *c, const version##Byte from[], size_t size,              \
+                                              void **state) {                                                \
+        return (version##Status)from_bytes(c, from, size, state);                                            \
     }
 
 /* -- 2.0 -- */
@@ -345,7 +370,7 @@ fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean defined, fmi2Real to
     ((unit *)c)->tolerance = defined ? tolerance : -1.0;
     return fmi2OK;
 }
-STATES(fmi2, state)
+STATES(fmi2, state, DeSerialize)
 IDLE(fmi2, EnterInitializationMode)
 fmi2Status fmi2ExitInitializationMode(fmi2Component c) {
     to_base(c);
@@ -430,7 +455,7 @@ fmi3Status fmi3EnterInitializationMode(fmi3Instance c, fmi3Boolean defined, fmi3
     ((unit *)c)->tolerance = defined ? tolerance : -1.0;
     return fmi3OK;
 }
-STATES(fmi3, State)
+STATES(fmi3, State, Deserialize)
 fmi3Status fmi3ExitInitializationMode(fmi3Instance c) {
     to_base(c);
     return fmi3OK;
@@ -507,33 +532,32 @@ fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 t, fmi3Float64 h, fmi3Boolean 
         return 3;                                                                                            \
     }
 ABSENT(fmi2CancelStep)
-ABSENT(fmi2DeSerializeFMUstate)
+
 ABSENT(fmi2GetDirectionalDerivative)
 ABSENT(fmi2GetIntegerStatus)
 ABSENT(fmi2GetRealOutputDerivatives)
 ABSENT(fmi2GetStatus)
 ABSENT(fmi2GetString)
-ABSENT(fmi2GetStringStatus) ABSENT(fmi2SerializeFMUstate) ABSENT(fmi2SerializedFMUstateSize)
-    ABSENT(fmi2SetRealInputDerivatives) ABSENT(fmi2SetString) ABSENT(fmi3ActivateModelPartition) ABSENT(
-        fmi3CompletedIntegratorStep) ABSENT(fmi3DeserializeFMUState) ABSENT(fmi3EnterConfigurationMode)
-        ABSENT(fmi3EnterContinuousTimeMode) ABSENT(fmi3EnterEventMode) ABSENT(fmi3EnterStepMode) ABSENT(
-            fmi3EvaluateDiscreteStates) ABSENT(fmi3ExitConfigurationMode) ABSENT(fmi3GetAdjointDerivative)
-            ABSENT(fmi3GetBinary) ABSENT(fmi3GetClock) ABSENT(fmi3GetContinuousStateDerivatives) ABSENT(
-                fmi3GetContinuousStates) ABSENT(fmi3GetDirectionalDerivative) ABSENT(fmi3GetEventIndicators)
-                ABSENT(fmi3GetInt16) ABSENT(fmi3GetInt8) ABSENT(fmi3GetIntervalDecimal) ABSENT(
-                    fmi3GetIntervalFraction) ABSENT(fmi3GetNominalsOfContinuousStates)
-                    ABSENT(fmi3GetNumberOfContinuousStates) ABSENT(fmi3GetNumberOfEventIndicators) ABSENT(
-                        fmi3GetNumberOfVariableDependencies) ABSENT(fmi3GetOutputDerivatives)
-                        ABSENT(fmi3GetShiftDecimal) ABSENT(fmi3GetShiftFraction) ABSENT(fmi3GetString) ABSENT(
-                            fmi3GetUInt16) ABSENT(fmi3GetUInt32) ABSENT(fmi3GetUInt64) ABSENT(fmi3GetUInt8)
-                            ABSENT(fmi3GetVariableDependencies) ABSENT(fmi3InstantiateModelExchange)
-                                ABSENT(fmi3InstantiateScheduledExecution) ABSENT(fmi3SerializeFMUState)
-                                    ABSENT(fmi3SerializedFMUStateSize) ABSENT(fmi3SetBinary)
-                                        ABSENT(fmi3SetClock) ABSENT(fmi3SetContinuousStates)
-                                            ABSENT(fmi3SetInt16) ABSENT(fmi3SetInt8)
-                                                ABSENT(fmi3SetIntervalDecimal) ABSENT(fmi3SetIntervalFraction)
-                                                    ABSENT(fmi3SetShiftDecimal) ABSENT(fmi3SetShiftFraction)
-                                                        ABSENT(fmi3SetString) ABSENT(fmi3SetTime)
-                                                            ABSENT(fmi3SetUInt16) ABSENT(fmi3SetUInt32)
-                                                                ABSENT(fmi3SetUInt64) ABSENT(fmi3SetUInt8)
-                                                                    ABSENT(fmi3UpdateDiscreteStates)
+ABSENT(fmi2GetStringStatus)
+ABSENT(fmi2SetRealInputDerivatives)
+ABSENT(fmi2SetString) ABSENT(fmi3ActivateModelPartition) ABSENT(fmi3CompletedIntegratorStep)
+    ABSENT(fmi3EnterConfigurationMode) ABSENT(fmi3EnterContinuousTimeMode) ABSENT(fmi3EnterEventMode)
+        ABSENT(fmi3EnterStepMode) ABSENT(fmi3EvaluateDiscreteStates) ABSENT(fmi3ExitConfigurationMode) ABSENT(
+            fmi3GetAdjointDerivative) ABSENT(fmi3GetBinary) ABSENT(fmi3GetClock)
+            ABSENT(fmi3GetContinuousStateDerivatives) ABSENT(fmi3GetContinuousStates) ABSENT(
+                fmi3GetDirectionalDerivative) ABSENT(fmi3GetEventIndicators) ABSENT(fmi3GetInt16)
+                ABSENT(fmi3GetInt8) ABSENT(fmi3GetIntervalDecimal) ABSENT(fmi3GetIntervalFraction) ABSENT(
+                    fmi3GetNominalsOfContinuousStates) ABSENT(fmi3GetNumberOfContinuousStates)
+                    ABSENT(fmi3GetNumberOfEventIndicators) ABSENT(fmi3GetNumberOfVariableDependencies) ABSENT(
+                        fmi3GetOutputDerivatives) ABSENT(fmi3GetShiftDecimal) ABSENT(fmi3GetShiftFraction)
+                        ABSENT(fmi3GetString) ABSENT(fmi3GetUInt16) ABSENT(fmi3GetUInt32)
+                            ABSENT(fmi3GetUInt64) ABSENT(fmi3GetUInt8) ABSENT(fmi3GetVariableDependencies)
+                                ABSENT(fmi3InstantiateModelExchange) ABSENT(fmi3InstantiateScheduledExecution)
+                                    ABSENT(fmi3SetBinary) ABSENT(fmi3SetClock) ABSENT(fmi3SetContinuousStates)
+                                        ABSENT(fmi3SetInt16) ABSENT(fmi3SetInt8)
+                                            ABSENT(fmi3SetIntervalDecimal) ABSENT(fmi3SetIntervalFraction)
+                                                ABSENT(fmi3SetShiftDecimal) ABSENT(fmi3SetShiftFraction)
+                                                    ABSENT(fmi3SetString) ABSENT(fmi3SetTime)
+                                                        ABSENT(fmi3SetUInt16) ABSENT(fmi3SetUInt32)
+                                                            ABSENT(fmi3SetUInt64) ABSENT(fmi3SetUInt8)
+                                                                ABSENT(fmi3UpdateDiscreteStates)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from phfmu.audit.booked_steps import BookedSteps
 from phfmu.audit.events import EventRow
 from phfmu.audit.kinds import ColumnType, Quality, RowKind
+from phfmu.audit.states import StateRow
 
 SCHEMA_VERSION = 1
 
@@ -54,6 +55,7 @@ COLUMNS: dict[str, ColumnType] = {
     "energy_jump": ColumnType.F64,  # [J] event
     "lost": ColumnType.F64,  # [J] event: by a jump of the states at a guard
     "message": ColumnType.TEXT,
+    "hash": ColumnType.TEXT,  # of a state, in hexadecimal digits
 }
 
 DTYPES = {
@@ -79,6 +81,7 @@ FIELDS: dict[RowKind, tuple[str, ...]] = {
     ),
     RowKind.TERM: ("component", "term", "dH", "dissipated"),
     RowKind.EVENT: ("kind", "component", "energy_jump", "lost", "message"),
+    RowKind.HASH: ("component", "part", "hash"),
 }
 
 Encode = Callable[[str, Sequence[str | None]], NDArray[np.int32]]
@@ -109,6 +112,13 @@ def event_section(events: Sequence[EventRow], encode: Encode) -> Section:
     values |= {column: [getattr(event, column) for event in events] for column in FIELDS[RowKind.EVENT]}
     columns = {column: _filled(column, entries, encode) for column, entries in values.items()}
     return Section(len(events), {name: entry for name, entry in columns.items() if entry[1].any()})
+
+
+def state_section(rows: Sequence[StateRow], encode: Encode) -> Section:
+    """Rows of hashes of states."""
+    values: dict[str, Sequence[Any]] = {"row": [RowKind.HASH] * len(rows)}
+    values |= {n: [getattr(row, n) for row in rows] for n in ("step", "t0", "h", *FIELDS[RowKind.HASH])}
+    return Section(len(rows), {column: _filled(column, entries, encode) for column, entries in values.items()})
 
 
 def block_sections(block: BookedSteps, encode: Encode) -> list[Section]:

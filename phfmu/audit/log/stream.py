@@ -18,7 +18,15 @@ import numpy as np
 from phfmu.audit.kinds import ColumnType
 from phfmu.audit.log.archive import SCHEMA_KEY, WRITER_KEY, arrow_schema, compact, occupied, stream_path
 from phfmu.audit.log.blocks import BLOCK_KEY, opened, sealed
-from phfmu.audit.log.columns import COLUMNS, DTYPES, SCHEMA_VERSION, Section, block_sections, event_section
+from phfmu.audit.log.columns import (
+    COLUMNS,
+    DTYPES,
+    SCHEMA_VERSION,
+    Section,
+    block_sections,
+    event_section,
+    state_section,
+)
 from phfmu.audit.log.lock import try_lock
 
 if TYPE_CHECKING:
@@ -26,6 +34,7 @@ if TYPE_CHECKING:
 
     from phfmu.audit.booked_steps import BookedSteps
     from phfmu.audit.events import EventRow
+    from phfmu.audit.states import StateRow
 
 FLUSH_ROWS = 1024
 FLUSH_SECONDS = 0.1
@@ -102,6 +111,13 @@ class AuditWriter:
         self._check_open()
         self._events.append(event)
         self._took(1)
+        self._flush_if_due()
+
+    def write_states(self, rows: "Sequence[StateRow]") -> None:
+        """Take hashes of states."""
+        self._check_open()
+        self._sections.append(state_section(rows, self._encode))
+        self._took(len(rows))
         self._flush_if_due()
 
     def flush(self) -> None:

@@ -33,7 +33,7 @@ def call(args: argparse.Namespace) -> int:
         )
     with TemporaryDirectory() as folder:
         log = Path(folder) / "replay.parquet"
-        again = argparse.Namespace(**found["options"], **SHOWN | {"audit": str(log)})
+        again = argparse.Namespace(**_defaults() | found["options"] | SHOWN | {"audit": str(log)})
         others = changed(found, again)
         failure = None
         try:
@@ -57,3 +57,12 @@ def call(args: argparse.Namespace) -> int:
     if not others:
         print("files, libraries and machine are as they were: a unit is not deterministic, or memory has failed")
     return PROBLEMS
+
+
+def _defaults() -> dict[str, Any]:
+    """Values of options that the version that wrote the audit did not have."""
+    from phfmu.cli.verbs import run
+
+    verbs = argparse.ArgumentParser().add_subparsers()
+    run.add_parser(verbs)
+    return vars(verbs.choices["run"].parse_args(["TARGET"]))

@@ -62,8 +62,7 @@ def add_parser(verbs: Any) -> None:
                         help="run again with half the step and tell by how much each signal changes, and the error of this "
                         "run that follows")  # fmt: skip
     parser.add_argument("--checkpoint", type=float, metavar="SECONDS",
-                        help="keep where the run is this often, in X.checkpoint beside -o or --audit; one composed "
-                        "model")  # fmt: skip
+                        help="keep where the run is this often, in X.checkpoint beside -o or --audit")  # fmt: skip
     parser.add_argument("--resume", metavar="FILE",
                         help="go on from a checkpoint of the same command line, to the same bits")  # fmt: skip
     parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
@@ -91,6 +90,9 @@ def _add_outputs(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--audit-detail", action="store_true",
                         help="tell each energy and each resistor by itself too (phfmu audit FILE --by term); one composed "
                              "model only")  # fmt: skip
+    parser.add_argument("--hash-states", type=int, default=0, metavar="N",
+                        help="each N steps hashes of the states of each member in the audit file: phfmu replay tells where "
+                             "they differ")  # fmt: skip
     parser.add_argument("--plot", metavar="FILE", help="picture of the run, X.png or X.html (see: phfmu plot)")
     parser.add_argument("--view", metavar="FILE", help="the motion of a mechanism, X.html or X.gif (see: phfmu view)")
     parser.add_argument(
@@ -125,7 +127,7 @@ def call(args: argparse.Namespace) -> int:
     signals = tuple(args.signals)
     if args.sensitivity and signals:
         signals += (derivative_name("*", "*"),)
-    chosen = replace(chosen, events=events, signals=signals, every=_every(args.every))
+    chosen = replace(chosen, events=events, signals=signals, every=_every(args.every), hash_states=args.hash_states)
     if checkpoints.asked:
         chosen = replace(chosen, checkpoints=checkpoints)
         checkpoints.begin(stepper, chosen, outputs.marks)

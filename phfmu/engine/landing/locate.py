@@ -50,6 +50,8 @@ class Trial:
 class Location:
     """Takes steps of an instance that end where guards are zero."""
 
+    CARRIED = ("_arrived",)
+
     def __init__(self, instance: Any, plan: EventPlan, guards: Guards):
         self.instance, self.plan, self.guards = instance, plan, guards
         #: |d guard / dt| (n) where the present instant was reached: a guard that was landed on is zero to rounding of the time

@@ -26,6 +26,7 @@ ESSENTIAL = (
 #: of states that are saved and restored;  of derivatives;  of states as bytes
 _STATES = ("GetFMUState", "SetFMUState", "FreeFMUState")
 _DERIVATIVES = ("GetDirectionalDerivative",)
+_SERIALISED = ("SerializedFMUStateSize", "SerializeFMUState", "DeserializeFMUState")
 
 
 class Absent:
@@ -70,7 +71,7 @@ def able(interface: UnitInterface, absent: Sequence[str]) -> UnitInterface:
     missing = {n[4:].lower() for n in absent}
     off = {
         name: False
-        for name, needed in (("saves", _STATES), ("derivatives", _DERIVATIVES))
+        for name, needed in (("saves", _STATES), ("serialises", _SERIALISED), ("derivatives", _DERIVATIVES))
         if missing & {n.lower() for n in needed}
     }
     return replace(interface, **off) if off else interface

@@ -249,6 +249,7 @@ def read_interface(stream: IO[bytes], manifest: bytes | None, name: str) -> Unit
         token=about.root.get(version.token, ""),
         variables=about.variables,
         saves=told.get(version.saves) in TRUE,
+        serialises=told.get(version.serialises) in TRUE,
         derivatives=told.get(version.derives) in TRUE,
         one_step=told.get("canHandleVariableCommunicationStepSize") in FALSE,
         one_instance=told.get("canBeInstantiatedOnlyOncePerProcess") in TRUE,

@@ -6,6 +6,7 @@ import weakref
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -42,6 +43,8 @@ class FMUInstance:
     state of a time before it is held.
     Errors: FMUError; StepFailure for a refused step: units of this package are back at the last accepted one.
     """
+
+    CARRIED = ("written",)
 
     def __init__(
         self,
@@ -239,6 +242,17 @@ class FMUInstance:
     def deserialize(self, data: bytes, like: SavedState) -> SavedState:
         """A state of this instance from bytes; `like` gives what the instance knows beside the unit."""
         return self._states.keep(self._slave.deserialize(data), dict(like.memory))
+
+    @property
+    def written(self) -> tuple[bytes, dict[str, Any]]:
+        """Its state as bytes, and what the instance knows beside it: what another instance goes on from when it is set there."""
+        state = self.get_state()
+        return self.serialize(state), state.memory
+
+    @written.setter
+    def written(self, found: tuple[bytes, dict[str, Any]]) -> None:
+        data, memory = found
+        self.set_state(self._states.keep(self._slave.deserialize(data), memory))
 
     # -- reading --------------------------------------------------------------------------------------------
 

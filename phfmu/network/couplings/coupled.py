@@ -56,6 +56,10 @@ class Coupled:
     """
 
     what = "members stepped apart"
+    CARRIED = (
+        "joined", "last", "booking", "unknowns_told", "_growth", "_signals", "_agreed", "_apart", "_grown", "_sums", "_at_start",
+        "_lander",
+    )  # fmt: skip
 
     def __init__(
         self,
@@ -190,6 +194,28 @@ class Coupled:
         if data and self._switching:
             raise ValueError(self._switching.held_only)
         self.joined.followed = Followed(data, self.free_inputs) if data else None
+
+    @property
+    def unwritten(self) -> list[str]:
+        """Units whose states cannot be written to a file, and why."""
+        return [m.unwritten for m in self.joined.members if m.unwritten]
+
+    def hashed(self) -> dict[str, dict[str, float]]:
+        """By member its states and its time, by their names in it."""
+        return {m.name: m.hashed() for m in self.joined.members}
+
+    @property
+    def junctions(self) -> Array:
+        """Junction unknowns of the last step, means and those at its end."""
+        return np.concatenate([self.last.xi, self.last.end])
+
+    @property
+    def modes(self) -> tuple[int, ...]:
+        """The modes of the members' switches."""
+        if self._switching is not None:
+            return self._switching.modes
+        members = (m for m in self.joined.members if isinstance(m, EngineMember) and m.model.modes is not None)
+        return tuple(mode for m in members for mode in m.instance.mode)
 
     def settable(self) -> list[str]:
         return self.joined.settable()

@@ -20,6 +20,8 @@ class Growth:
     Units whose energy is estimated count from zero: what they gave at most is what they had, or have from inside.
     """
 
+    CARRIED = ("known", "_had")
+
     def __init__(self, joined: Joined):
         self._joined = joined
         ports = joined.booking.ports

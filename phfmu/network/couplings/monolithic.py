@@ -56,6 +56,7 @@ class Monolithic:
 
     what, instead = "one composed model", ""
     CARRIED = ("instance", "_inputs", "booking", "unknowns_told")
+    unwritten = ()
 
     def __init__(self, model: Model, instance: Any):
         self.model, self.instance = model, instance
@@ -93,6 +94,27 @@ class Monolithic:
     def notes(self) -> list[str]:
         """It has nothing to add."""
         return []
+
+    def hashed(self) -> dict[str, dict[str, float]]:
+        """By component its states and the time, by their names in it."""
+        d, found = self.model.declaration, dict[str, dict[str, float]]()
+        names = [n for v in d.states for n in v.names()]
+        for c in self.booking.components:
+            found[c] = {"time": float(self.instance.time)}
+        for name, value in zip(names, self.instance.x.tolist(), strict=True):
+            owner = max((c for c in found if name.startswith(f"{c}.")), key=len, default=self.booking.components[0])
+            found[owner][name.removeprefix(f"{owner}.")] = value
+        return found
+
+    @property
+    def junctions(self) -> Array:
+        """Unknowns of the last step, which are those of its junctions among others."""
+        return self.instance.unknowns
+
+    @property
+    def modes(self) -> tuple[int, ...]:
+        """The modes of its switches."""
+        return self.instance.mode if self.model.modes is not None else ()
 
     def settable(self) -> list[str]:
         return [*self._inputs.parameters, *self._inputs.inputs]

@@ -66,8 +66,27 @@ class Stepper(Protocol):
         ...
 
     @property
+    def unwritten(self) -> Sequence[str]:
+        """Units whose states cannot be written to a file, and why."""
+        ...
+
+    @property
     def lands(self) -> bool:
         """Whether its steps end on the zeros of guards too, by `land`."""
+        ...
+
+    def hashed(self) -> dict[str, dict[str, float]]:
+        """By member its states and its time, by their names in it."""
+        ...
+
+    @property
+    def junctions(self) -> Array:
+        """The unknowns between members that the next step goes on from."""
+        ...
+
+    @property
+    def modes(self) -> tuple[int, ...]:
+        """The modes of ideal switches, 0 or 1 each."""
         ...
 
     def notes(self) -> list[str]:

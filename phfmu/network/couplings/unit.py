@@ -24,6 +24,7 @@ class FMUStepper:
     """One FMU as the whole system of a run."""
 
     what, instead = "an FMU, whose method is compiled in", "run the declaration with --engine native or python"
+    CARRIED = ("member", "booking", "_u")
 
     def __init__(self, unit: FMUInstance):
         self.member = FMUMember(unit.name, unit)
@@ -50,6 +51,11 @@ class FMUStepper:
         return dict(zip(self.member.input_names, given.tolist(), strict=True)) | self.member.signals()
 
     @property
+    def unwritten(self) -> list[str]:
+        """Itself, if its state cannot be written to a file, and why."""
+        return [self.member.unwritten] if self.member.unwritten else []
+
+    @property
     def lands(self) -> bool:
         """It does that inside its steps."""
         return False
@@ -57,6 +63,20 @@ class FMUStepper:
     def notes(self) -> list[str]:
         """It has nothing to add."""
         return []
+
+    def hashed(self) -> dict[str, dict[str, float]]:
+        """Its states and its time, by their names."""
+        return {self.member.name: self.member.hashed()}
+
+    @property
+    def junctions(self) -> Array:
+        """It has none that it tells of."""
+        return np.zeros(0)
+
+    @property
+    def modes(self) -> tuple[int, ...]:
+        """Its switches are its own."""
+        return ()
 
     def settable(self) -> list[str]:
         return self.member.settable()

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
+from scipy.sparse import coo_array, csr_array
 
 from phfmu.declare.junction_words import spread_words
 from phfmu.network.interface.hidden import Parted, parted
@@ -44,6 +44,7 @@ class EndSums:
         self._starts = np.cumsum([0, *map(len, self._rows)])[:-1]
         self._single = np.array([len(own) == 1 for own in self._rows], bool)
         self._gathered = np.concatenate([*self._rows, np.zeros(0, int)]).astype(int)
+        self._matrix: Any = None
         self._maps: tuple[Any, Any, Any] | None = None
         self._parted: Parted | None = None
         self.find(face.start)
@@ -74,7 +75,21 @@ class EndSums:
 
     def forget(self) -> None:
         """After parameters or inputs were set: outputs may follow other unknowns."""
-        self._maps = self._parted = None
+        self._matrix = self._maps = self._parted = None
+
+    def get_state(self) -> tuple[Array, Array, Array] | None:
+        """Rows, columns and entries of M that the columns are made with, of the time when it was asked for; None: of none."""
+        if self._matrix is None:
+            return None
+        entries: Any = coo_array(self._matrix)
+        return entries.row, entries.col, entries.data
+
+    def set_state(self, state: tuple[Array, Array, Array] | None) -> None:
+        """Goes on with the M of `get_state`."""
+        self.forget()
+        if state is not None:
+            row, column, values = state
+            self._part(coo_array((values, (row, column)), shape=self.joined.face.C.shape))
 
     def values(self, xi: Array) -> Array:
         """The columns, with the junction unknowns xi as inputs."""
@@ -97,11 +112,11 @@ class EndSums:
         """The columns (steps x names) with junction unknowns xi and outputs y under them at ends, a row a step."""
         assert self._maps is not None and self._parted is not None
         P, C, Q = self._maps
-        r = y @ P + xi @ C
+        r = _by_row(y, P) + _by_row(xi, C)
         ends = xi + self._parted.answer(r)
         if not self._checked:
             return ends
-        left, against = r @ Q, [i if i != j else -1 for i, j in zip(self._against, self._checked, strict=True)]
+        left, against = _by_row(r, Q), [i if i != j else -1 for i, j in zip(self._against, self._checked, strict=True)]
         base = np.where(np.array(against) < 0, 0.0, left[:, against])
         return np.hstack([ends, left[:, self._checked] - base])
 
@@ -136,10 +151,12 @@ class EndSums:
 
     def find(self, xi: Array) -> None:
         """P, C^T, Q^T and what is parted, where they are not known; sparse where there are many."""
-        if self._maps is not None:
-            return
-        face = self.joined.face
-        self._parted = parted(self.joined.instant_matrix(xi), face.nominal)
+        if self._maps is None:
+            self._part(self.joined.instant_matrix(xi))
+
+    def _part(self, M: Any) -> None:
+        face, self._matrix = self.joined.face, M
+        self._parted = parted(M, face.nominal)
         maps = face.P, face.C.T, self._parted.hidden.T
         few = len(face.names) <= DENSE
         self._maps = tuple(m.toarray() for m in maps) if few else tuple(map(csr_array, maps))  # pyright: ignore
@@ -148,3 +165,9 @@ class EndSums:
         ports = junction.ports(self.joined.network.members)
         givers = {str(e): p for e, p in ports.items() if p.given != junction.shared}
         return spread_words(next(iter(givers.values())), tuple(givers), value)
+
+
+def _by_row(rows: Array, M: Any) -> Array:
+    """rows @ M, each row by itself: BLAS rounds products of several rows in an order of its own, and rows come in blocks of any
+    length."""
+    return (rows[:, None] @ M)[:, 0] if isinstance(M, np.ndarray) else rows @ M

@@ -77,7 +77,7 @@ def parted(M: Any, nominal: Array) -> Parted:
 
 
 def _solver(factors: Any, d: Array, nominal: Array) -> Callable[[Array], Array]:
-    return lambda r: factors.solve((r * d).T).T * nominal
+    return lambda r: np.array([factors.solve(row) for row in r * d]).reshape(r.shape) * nominal  # a row by itself
 
 
 def _assembled(n: int, parts: list[Part]) -> csr_array:

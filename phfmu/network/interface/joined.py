@@ -33,6 +33,8 @@ Array = NDArray[np.float64]
 class Joined:
     """Stacked: inputs and outputs of all members (nu); `face`: P (nu x n) and C (n x n).  ConnectionError without members."""
 
+    CARRIED = ("members", "free", "held", "sampled", "booking")
+
     def __init__(self, network: Network, members: list[Member]):
         require_members(network.name, network.members)
         self.network, self.members = network, members

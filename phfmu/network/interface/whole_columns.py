@@ -62,7 +62,8 @@ class WholeColumns:
 
     def rows(self, signals: Array) -> Array:
         """Rows of `own` (.. x columns) -> rows of `names`."""
-        return np.concatenate([signals[..., self._places].sum(axis=-1), signals], axis=-1)[..., self._order]
+        told = np.ascontiguousarray(signals[..., self._places])  # in the same order however many rows there are
+        return np.concatenate([told.sum(axis=-1), signals], axis=-1)[..., self._order]
 
 
 def _places(network: Network) -> dict[str, tuple[int, int, int]]:

@@ -42,7 +42,7 @@ class Columns:
         """Rows of signals -> rows of columns."""
         rows = signals[:, self._first]
         for i, own in self._sums:
-            rows[:, i] = np.add.reduce(signals[:, own], axis=1)
+            rows[:, i] = np.add.reduce(np.ascontiguousarray(signals[:, own]), axis=1)
         return rows
 
     def some(self, instance: Any, names: tuple[str, ...]) -> Array:

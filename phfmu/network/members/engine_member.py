@@ -29,7 +29,8 @@ Array = NDArray[np.float64]
 class EngineMember:
     """A member stepped by a Python or native instance of its model, in `parts` equal internal steps per step."""
 
-    saves, finishes, ended = True, False, False
+    saves, finishes, ended, unwritten = True, False, False, ""
+    CARRIED = ("instance", "_inputs", "booking")
 
     def __init__(self, name: str, model: Model, instance: Any, parts: int = 1):
         self.name, self.model, self.instance, self.parts = name, model, instance, parts
@@ -199,6 +200,10 @@ class EngineMember:
     def unsteady(self, _: float) -> str:
         """States of engines are complete."""
         return ""
+
+    def hashed(self) -> dict[str, float]:
+        """Its states and its time."""
+        return self.states | {"time": float(self.instance.time)}
 
     def ledger(self) -> dict[str, Array]:
         book = self.instance.ledger()

@@ -91,6 +91,8 @@ class FMUMember:
     finishes: it keeps nothing of the steps that are repeated, so the accepted one is taken once more, for good.
     """
 
+    CARRIED = ("unit", "booking", "_u", "_given", "_moved", "_length")
+
     def __init__(self, name: str, unit: FMUInstance, finishes: bool = False):
         self.name, self.unit, self.finishes = name, unit, finishes
         #: signals that it exchanges at the nodes of its steps, behind its ports
@@ -145,6 +147,14 @@ class FMUMember:
         except UnitCallError:
             return False
         return True
+
+    @property
+    def unwritten(self) -> str:
+        """Its name and why its state cannot be written to a file; "" if it can."""
+        if self.unit.interface.saves and self.unit.interface.serialises:
+            return ""
+        what = "write its state to a file (canSerialize..)" if self.unit.interface.saves else "save its state"
+        return f"{self.name} cannot {what}"
 
     @property
     def units(self) -> dict[str, str]:
@@ -311,6 +321,13 @@ class FMUMember:
         from phfmu.network.members.rollback import unsteady
 
         return unsteady(self.unit, h)
+
+    def hashed(self) -> dict[str, float]:
+        """States and time of a unit of this package; of another tool, all values that may change."""
+        own = self.states
+        if self.unit.estimated:
+            own |= dict(zip(self.names, self.unit.get(self.names).tolist(), strict=True))
+        return own | {"time": self.unit.time}
 
     def ledger(self) -> dict[str, Array]:
         """The unit's ledger of the last step; what it supplies to itself becomes the pair `inside`."""

@@ -97,6 +97,11 @@ class SteppedLast:
     def sensitivity(self) -> Array:
         return self._G
 
+    @property
+    def unwritten(self) -> str:
+        """It is stepped last since it cannot take steps back."""
+        return f"{self.name} cannot take its state back"
+
     def get_state(self) -> None:
         """The unit is where it is; nothing is kept."""
 
@@ -146,6 +151,9 @@ class SteppedLast:
 
     def start_inputs(self) -> Array:
         return self.inner.start_inputs()
+
+    def hashed(self) -> dict[str, float]:
+        return self.inner.hashed()
 
     def ledger(self) -> dict[str, Array]:
         return self.inner.ledger()

@@ -133,6 +133,11 @@ class Switching:
         ]  # fmt: skip
 
     @property
+    def modes(self) -> tuple[int, ...]:
+        """Modes of the switches of all members."""
+        return () if self._whole.model.modes is None else self._whole.mode
+
+    @property
     def unsettled(self) -> bool:
         """Modes were set that are not taken yet."""
         return self._whole.model.modes is not None and self._whole.unsettled
@@ -187,6 +192,16 @@ class Switching:
     def back(self) -> None:
         """To where the last step began."""
         self._steps.restore(self._saved)
+
+    def get_state(self) -> tuple[Any, Array]:
+        """That of the composed declaration, and the junction unknowns of the present instant."""
+        return self._whole.get_state(), self.xi
+
+    def set_state(self, state: tuple[Any, Array]) -> None:
+        """Goes on from what `get_state` gave, once the members are where they were then."""
+        whole, self.xi = state
+        self._whole.set_state(whole)
+        self._enter()
 
     def begin(self, h: float) -> Array:
         """Junction unknowns at the start of a run with steps of about h, in the modes that it starts with."""

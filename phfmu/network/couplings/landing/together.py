@@ -40,6 +40,8 @@ class Together:
     solve: takes a step (t, h) of all, True if in one part;  save, restore: of where all are
     """
 
+    CARRIED = ("location",)
+
     def __init__(
         self,
         joined: Joined,

@@ -78,9 +78,11 @@ int ph_matrix_plain(ph_master *m) {
     return ph_matrix_factor(m);
 }
 
-/* Factors of the matrix with rows scaled by their largest entries. */
+/* Factors of the matrix with rows scaled by their largest entries. Pivots are searched for, not kept: they are
+ * those of this matrix whatever was factored before, so that a step does not depend on where a run began. */
 int ph_matrix_factor(ph_master *m) {
     const int all = m->nxi + 2 * m->nbare;
+    ph_lu *lu = m->lu;
     long long count[PH_NCOUNT] = {0};
     int status;
     ph_clear(m->scale, all);
@@ -94,7 +96,8 @@ int ph_matrix_factor(ph_master *m) {
     if (!ph_all_finite(m->scaled, m->nnz))
         return PH_NOT_FINITE;
     ph_lap(m->clock, PH_SOLVING);
-    status = ph_lu_factor(m->lu, m->scaled, count);
+    lu->ready = 0;
+    status = ph_lu_factor(lu, m->scaled, count);
     ph_lap(m->clock, PH_JOINING);
     return status;
 }

@@ -50,6 +50,8 @@ class _Trial:
 class SignalsApart:
     """Steps in which signals do not agree, as where one jumps at a threshold: they are taken from the samples, and counted."""
 
+    CARRIED = ("_steps", "_first")
+
     def __init__(self, signals: HeldSignals):
         self._signals, self._steps, self._first = signals, 0, 0.0
 
@@ -70,6 +72,8 @@ class SignalsApart:
 
 class AgreedSignals:
     """The iteration, for members that all can take steps back."""
+
+    CARRIED = ("_matrix", "_most", "found")
 
     def __init__(self, joined: Joined, signals: HeldSignals):
         self._joined, self._signals = joined, signals

@@ -46,7 +46,9 @@ class _Hop:
 
 
 class HeldSignals:
-    """The signals of a network; without wires nothing is done."""
+    """The signals of a network; without wires nothing is done.  The samples themselves are `Joined.sampled`."""
+
+    CARRIED = ("before", "last")
 
     def __init__(self, joined: Joined, at_nodes: Collection[int] = (), extrapolated: bool = True):
         """`at_nodes`: numbers of the wires that are exchanged there;  `extrapolated`: False holds the last sample."""

@@ -25,6 +25,8 @@ STEADY = 1.5
 class SignalGrowth:
     """Growth of held signals, step after step."""
 
+    CARRIED = ("_level", "_when", "told")
+
     def __init__(self, wires: Sequence[Wire]):
         self._wires = wires
         self._level = np.zeros(len(wires))
