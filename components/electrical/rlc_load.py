@@ -21,7 +21,7 @@ from phfmu import (
     skew,
     state,
 )
-from phfmu.components.electrical.machines.park import PHASES
+from phfmu.components.electrical.phases import PHASES
 
 Phases = Sequence[float]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from phfmu import ELECTRICAL, PHDAE, Port, parameter
-from phfmu.components.electrical.machines.park import PHASES
+from phfmu.components.electrical.phases import PHASES
 from phfmu.components.electrical.rlc_load import conductance_pair
 
 

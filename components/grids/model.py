@@ -13,10 +13,10 @@ import numpy as np
 from phfmu import Network, meant
 from phfmu.components.electrical.breaker import breaker
 from phfmu.components.electrical.capacitors import capacitor_network
-from phfmu.components.electrical.machines.machine_init import ALPHA
 from phfmu.components.electrical.machines.synchronous_machine import synchronous_machine
 from phfmu.components.electrical.network.lines import coupled_line
 from phfmu.components.electrical.network.transformers import two_winding_transformer
+from phfmu.components.electrical.phases import ALPHA
 from phfmu.components.electrical.rlc_load import rlc_load
 from phfmu.components.electrical.sources import balanced_current_source
 from phfmu.components.electrical.switch import fault_resistor

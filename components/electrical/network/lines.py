@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 
 from phfmu import ELECTRICAL, PHDAE, Energy, Port, Variable, block, energy, observable, parameter, skew, state
-from phfmu.components.electrical.machines.park import PHASES
+from phfmu.components.electrical.phases import PHASES
 
 
 def symmetric(positive: Any, zero: Any) -> ca.SX:

@@ -8,8 +8,7 @@ from typing import Literal, TypeAlias
 import casadi as ca
 
 from phfmu import ELECTRICAL, PHDAE, Port, algebraic, damping, energy, observable, parameter, skew, state
-from phfmu.components.electrical.machines.machine_init import ALPHA
-from phfmu.components.electrical.machines.park import PHASES
+from phfmu.components.electrical.phases import ALPHA, PHASES
 from phfmu.components.electrical.rlc_load import rlc_load
 
 Kind: TypeAlias = Literal["parallel", "series"]

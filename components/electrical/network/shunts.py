@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 
 from phfmu import ELECTRICAL, PHDAE, Event, Port, block, damping, parameter
-from phfmu.components.electrical.machines.park import PHASES
+from phfmu.components.electrical.phases import PHASES
 
 #: turns balanced voltages forwards by 90 degrees
 QUARTER = np.array([[0.0, -1.0, 1.0], [1.0, 0.0, -1.0], [-1.0, 1.0, 0.0]]) / sqrt(3.0)

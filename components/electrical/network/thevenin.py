@@ -7,8 +7,8 @@ from math import hypot, pi, sqrt
 import casadi as ca
 
 from phfmu import ELECTRICAL, PHDAE, Port, block, observable, parameter, state, time
-from phfmu.components.electrical.machines.park import PHASES
 from phfmu.components.electrical.network.lines import require_sequences, sequence_energy, symmetric
+from phfmu.components.electrical.phases import PHASES
 
 
 def thevenin_source(

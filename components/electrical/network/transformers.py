@@ -10,8 +10,8 @@ import casadi as ca
 import numpy as np
 
 from phfmu import ELECTRICAL, PHDAE, Port, block, damping, energy, observable, parameter, state
-from phfmu.components.electrical.machines.park import PHASES
 from phfmu.components.electrical.network.saturation import MagnetisationCurve
+from phfmu.components.electrical.phases import PHASES
 
 #: what the phases of a side put on the limbs: each with ground, each with a neutral that floats, between two phases
 GROUNDED = np.eye(3)
