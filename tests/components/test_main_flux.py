@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from scipy.optimize import brentq, fsolve
+from scipy.optimize import brentq, root
 
 from phfmu import Collocated, NativeInstance, PythonInstance, build_model, check
 from phfmu.components.electrical import (
@@ -20,7 +20,6 @@ from phfmu.components.electrical import (
     steady_state,
     synchronous_machine,
 )
-from phfmu.terms import extract
 from tests.components.orders import orders
 from tests.wide import wide
 
@@ -85,7 +84,11 @@ class CurrentMachine:
             return F / (1 / self.Lm + self.mask * self._s(r))
 
         most = np.linalg.norm(flux(0.0) * self.mask)
-        r = brentq(lambda r: r - np.linalg.norm(flux(r) * self.mask), 0.0, most, xtol=1e-13, rtol=1e-15) if most else 0.0
+        r = (
+            brentq(lambda r: r - np.linalg.norm(flux(r) * self.mask), 0.0, most, xtol=1e-13, rtol=1e-15)
+            if most
+            else 0.0
+        )
         return flux(r)
 
     def fluxes(self, i: np.ndarray) -> np.ndarray:
@@ -127,7 +130,9 @@ def reference(name: str, kind: str) -> np.ndarray:
     """Currents (d, q, 0, rotor), momentum and angle at END: DOP853 in currents."""
     data = machine_set(name, saturation=CURVES[kind])
     start, machine = steady_state(data, P=0.7 * data.Sn, Q=0.4 * data.Sn), CurrentMachine(data, CURVES[kind])
-    x0 = np.array([*fsolve(lambda i: machine.fluxes(i) - start.dq, np.ones(machine.n), xtol=1e-14), start.p, start.theta])
+    x0 = np.array(
+        [*root(lambda i: machine.fluxes(i) - start.dq, np.ones(machine.n), tol=1e-13).x, start.p, start.theta]
+    )
     u = inputs(data, start)
     end = solve_ivp(lambda t, x: machine.rates(x, u(t)[:3], *u(t)[3:]), (0, END), x0, "DOP853", rtol=1e-12, atol=1e-9)
     return end.y[:, -1]
@@ -173,3 +178,194 @@ def test_a_saturated_machine_converges_to_its_equations_in_currents(name, kind, 
     found = [error(name, kind, coordinates, k, m) for m in (n, 2 * n)]
     assert found[1] < {1: 5e-3, 2: 1e-5, 3: 1e-6}[k]
     assert orders(found)[0] == pytest.approx(2 * k, abs=0.4), found
+
+
+def test_engines_agree_and_long_steps_keep_the_balance():
+    data = machine_set("krause_hydro325", saturation=CURVES["quadratic"])
+    start = steady_state(data)
+    model = synchronous_machine(data, start=start)
+    for k in (1, 2, 3):
+        ends = [ran(model, k, 50, inputs(data, start), e, 1e-3) for e in (NativeInstance, PythonInstance)]
+        assert ends[0][0].x == pytest.approx(ends[1][0].x, rel=1e-11, abs=1e-11)
+        assert max(worst for _, worst in ends) < 1e-13
+
+
+# -- the curve and its energy ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", CURVES)
+def test_the_field_current_at_no_load_is_that_of_the_curve(kind):
+    """i_f = (1 + S(u)) u on the air-gap line's scale, from the formula of the curve; no current in the stator."""
+    curve = CURVES[kind]
+    data = machine_set("kundur555_1q", saturation=curve)
+    air_gap = np.sqrt(2 / 3) * data.Vn_rms_ll / data.omega / data.M_stator_rotor[0]
+    for u in (0.2, 0.8, 1.0, 1.1, 1.2, 1.4):
+        start = steady_state(data, P=0.0, Q=0.0, V=u * data.Vn_rms_ll)
+        assert start.I[3] / air_gap == pytest.approx(u + extra(curve, u), rel=1e-12)
+        assert np.abs(start.I[:3]).max() < 1e-9 * air_gap
+    if not curve.points:
+        assert steady_state(data, P=0.0, Q=0.0).I[3] / air_gap == pytest.approx(1 + curve.S10, rel=1e-12)
+        loaded = steady_state(data, P=0.0, Q=0.0, V=1.2 * data.Vn_rms_ll)
+        assert loaded.I[3] / air_gap == pytest.approx(1.2 * (1 + curve.S12), rel=1e-12)
+
+
+def phasor_solution(data, curve, P, Q, V):
+    """Field current and rotor angle from the steady equations of the machine in currents, solved for (theta, i_f)."""
+    machine, w = CurrentMachine(data, curve), data.omega
+    i = -np.conj(complex(P, Q) / (1.5 * V * np.sqrt(2 / 3)))
+
+    def stator(y):
+        k = np.sqrt(1.5) * np.exp(-1j * y[0])
+        x = np.zeros(machine.n)
+        x[0], x[1], x[3] = (k * i).real, (k * i).imag, y[1] * 1e3
+        psi = machine.fluxes(x)
+        v = k * V * np.sqrt(2 / 3)
+        gap = v - data.Ra * k * i - w * complex(-psi[1], psi[0])
+        return [gap.real, gap.imag]
+
+    theta, field = root(stator, [-1.0, 2.0], tol=1e-13).x
+    return theta, field * 1e3
+
+
+@pytest.mark.parametrize("kind", CURVES)
+@pytest.mark.parametrize(("p", "q"), [(0.8, 0.2), (0.3, 0.6), (0.9, -0.2)])
+def test_the_loaded_machine_solves_its_phasor_equation(kind, p, q):
+    data = machine_set("krause_hydro325", saturation=CURVES[kind])
+    start = steady_state(data, P=p * data.Sn, Q=q * data.Sn, V=1.05 * data.Vn_rms_ll)
+    theta, field = phasor_solution(data, CURVES[kind], p * data.Sn, q * data.Sn, 1.05 * data.Vn_rms_ll)
+    assert start.theta == pytest.approx(theta, abs=1e-10) and start.I[3] == pytest.approx(field, rel=1e-10)
+
+
+@pytest.mark.parametrize("kind", CURVES)
+def test_a_saturated_start_is_steady(kind):
+    """20 cycles at order 4 with the balanced voltage of the start: momentum and rotor fluxes stay; folded, too."""
+    data = machine_set("krause_hydro325", saturation=CURVES[kind])
+    for model in (synchronous_machine(data), machine_at_bus(data)):
+        v = np.array(model.port("terminal").start)
+        field, torque = (np.ravel(model.port(n).start)[0] for n in ("field", "shaft"))
+        phasor = 2 / 3 * np.sum(v * np.exp(1j * ANGLES))
+
+        def at(t, phasor=phasor, field=field, torque=torque):
+            return np.array([*(phasor * np.exp(1j * (data.omega * t - ANGLES))).real, field, torque])
+
+        unit, _ = ran(model, 2, 333, at, NativeInstance, 1e-3)
+        x0 = build_model(model, Collocated(2)).x0
+        assert unit.x[:-1] == pytest.approx(x0[:-1], rel=1e-6, abs=1e-6 * np.abs(x0[:6]).max())
+
+
+@pytest.mark.parametrize("kind", CURVES)
+def test_currents_are_the_slopes_of_a_convex_energy(kind):
+    """dH/dpsi by differences, the currents of the independent machine at these fluxes, and the curvature along random lines."""
+    data = machine_set("kundur555_1q", saturation=CURVES[kind])
+    machine, rng = CurrentMachine(data, CURVES[kind]), np.random.default_rng(3)
+    unit = PythonInstance(build_model(synchronous_machine(data), Collocated(1)))
+    base = machine.fluxes(np.array([0.0, 0.0, 0.0, 2500.0, 0.0, 0.0]))
+
+    def energy(psi):
+        unit.set_x(0.0, np.array([*psi, 0.0, 0.0]))
+        return float(np.sum(unit.signals()["H"]))
+
+    for _ in range(20):
+        i = rng.normal(size=6) * [5e3, 5e3, 1e2, 1.5e3, 3e3, 3e3]
+        psi = machine.fluxes(i)
+        d = rng.normal(size=6) * np.abs(base).max() * [1, 1, 1e-2, 10, 1, 1]
+        h = 1e-4
+        e = [energy(psi + k * h * d) for k in (-2, -1, 0, 1, 2)]
+        slope = (e[0] - 8 * e[1] + 8 * e[3] - e[4]) / (12 * h)
+        assert slope == pytest.approx(i @ d, rel=2e-6, abs=1e-8 * energy(d))
+        steps = [energy(psi + k * d) for k in (-0.5, 0.0, 0.5)]
+        assert steps[0] + steps[2] - 2 * steps[1] > 0
+
+
+def test_parameters_move_the_curve_and_no_saturation_costs_nothing():
+    linear = synchronous_machine("kundur555_1q")
+    assert not {"Ll", "A_sat", "B_sat"} & {p.name for p in linear.parameters}
+    saturated = synchronous_machine("kundur555_1q", saturation=Saturation(0.1, 0.4))
+    assert len(saturated.energies) == len(linear.energies) + 1 and check(saturated) == []
+    plan = build_model(saturated, Collocated(1))
+    unit = NativeInstance(plan)
+    names = [p.name for p in saturated.parameters]
+    values = [float(np.ravel(p.start)[0]) for p in saturated.parameters]
+    values[names.index("B_sat")] = 0.0
+    unit.set_parameters(values)
+    other = NativeInstance(build_model(linear, Collocated(1)))
+    for u in (unit, other):
+        u.set_x(0.0, plan.x0)
+    assert unit.signals()["y_end"] == pytest.approx(other.signals()["y_end"], rel=1e-12)
+
+
+# -- data --------------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("curve", "words"),
+    [
+        (Saturation(0.3, 0.32), r"S\(1.0\) = 0.3, S\(1.2\) = 0.32.*A = -.*at least 1.2 S\(1.0\)"),
+        (Saturation(-0.1, 0.3), r"S\(1.0\) = -0.1"),
+        (Saturation(0.1, 0.0), r"S\(1.2\) = 0"),
+        (Saturation(0.0, 0.3, "exponential"), "rises from a positive"),
+        (Saturation(points=((0.8, 0.7), (1.2, 2.0))), r"falls from 1 to 0.875 before the point \(0.8, 0.7\)"),
+        (Saturation(points=((0.8, 0.8), (1.0, 1.4), (1.2, 1.7))), r"falls from 3 to 1.5 before the point \(1.2, 1.7\)"),
+        (Saturation(points=((0.8, 0.8), (0.7, 1.4))), "must both rise"),
+        (Saturation(0.1, 0.4, points=POINTS), "one of them"),
+        (Saturation(0.1, 0.4, axes="q"), "axes = 'q'"),  # pyright: ignore[reportArgumentType]
+    ],
+)
+def test_curves_that_are_not_convex_are_refused_with_their_numbers(curve, words):
+    with pytest.raises(MachineDataError, match=words):
+        machine_set("kundur555_1q", saturation=curve)
+
+
+def test_data_that_tell_no_main_flux_are_refused():
+    curve = Saturation(0.1, 0.4)
+    with pytest.raises(MachineDataError, match="saturation without Ll"):
+        machine_set("kundur555_1q", Ll=None, saturation=curve)
+    with pytest.raises(MachineDataError, match=r"Ll = 0.006 H is not between 0 and min"):
+        machine_set("kundur555_1q", Ll=6e-3, saturation=curve)
+    with pytest.raises(MachineDataError, match=r"Ll = 0.002 H leaves the rotor windings on d leakages .* -"):
+        machine_set("kundur555_1q", Ll=2e-3, saturation=curve)
+    with pytest.raises(MachineDataError, match="take coordinates 'dq-flux' or 'abc-flux'"):
+        synchronous_machine("kundur555_1q", coordinates="current", saturation=curve)
+    rated = {"Sn": 1e8, "Vn_rms_ll": 1e4, "fn": 50.0, "H": 3.0}
+    with pytest.raises(MachineDataError, match="flux of a GENCLS is constant"):
+        from_per_unit("m", "GENCLS", **rated, xd1=0.3, saturation=curve)
+
+
+def test_a_mapping_and_a_set_say_the_same():
+    one = machine_set("kundur555_1q", saturation={"S10": 0.1, "S12": 0.4})
+    assert one.saturation == Saturation(0.1, 0.4)
+    assert machine_set(one, d=5.0).saturation == one.saturation
+
+
+# -- grids -------------------------------------------------------------------------------------------------------------------
+
+
+def test_a_grid_uses_its_saturation_where_asked_and_tells_it_otherwise():
+    """39 buses with S(1.0) = 0.1, S(1.2) = 0.4: the fields of all machines against their phasor equations."""
+    from dataclasses import replace
+
+    from phfmu.components.grids import grid_model
+    from phfmu.components.scenes.grids import public_grid
+
+    grid = public_grid("ieee39")
+    iron = [replace(d, values={**d.values, "S1": 0.1, "S12": 0.4}) if d.model == "GENROU" else d for d in grid.dynamics]
+    grid = replace(grid, dynamics=tuple(iron))
+    plain = grid_model(grid, plants="currents", controls=False)
+    assert "S1 = 0.1 (saturation at 1.0)" in str(plain.report)
+    model = grid_model(grid, plants="currents", controls=False, saturation=True)
+    assert "S(1.0), S(1.2)" in str(model.report) and "saturation at" not in str(model.report)
+    point, seen = model.point, 0
+    for unit in (g for g in grid.generators if (g.bus, g.id) in {(d.bus, d.id) for d in iron if d.model == "GENROU"}):
+        name = model.report.of(f"generator '{unit.id}' at bus {unit.bus}").members[0]
+        data = next(d for d in iron if d.model == "GENROU" and d.bus == unit.bus)
+        v = {k: data.values[k] for k in ("xd", "xq", "xd1", "xq1", "xd2", "xl", "Td10", "Td20", "Tq10", "Tq20", "H")}
+        kv = grid.bus[unit.bus].kv * 1e3
+        machine = from_per_unit(
+            "m", Sn=unit.base * 1e6, Vn_rms_ll=kv, fn=grid.frequency, ra=data.values.get("ra", unit.r), **v
+        )
+        s = -point.power(f"{name}.terminal")
+        V = abs(model.voltages()[unit.bus]) * kv
+        _, field = phasor_solution(machine, Saturation(0.1, 0.4), s.real, s.imag, V)
+        assert point.inputs[f"{name}.field.v"] == pytest.approx(machine.R_rotor[0] * field, rel=1e-8)
+        seen += 1
+    assert seen == 10

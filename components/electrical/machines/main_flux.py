@@ -27,7 +27,7 @@ SECOND = 1.2
 #: added to the square of a main flux, in parts of the rated one: its root has derivatives at 0
 SMALLEST = 1e-16
 #: steps of Newton's method for |m|, by the curve
-STEPS = {"quadratic": 2, "exponential": 6, "table": 6}
+STEPS = {"quadratic": 1, "exponential": 3, "table": 3}
 
 Kind = Literal["quadratic", "exponential"]
 
@@ -130,7 +130,7 @@ class Saturation:
         curve = self.curve()
         at = ca.SX.sym("u")
         values = [float(p.start[0]) for p in curve.parameters]
-        f = ca.Function("excess", [at, *(p.sx for p in curve.parameters)], [curve.current(at)])
+        f = ca.Function("excess", [at, *(p.sx for p in curve.parameters)], [curve.current(at)[0]])
         return float(f(abs(u), *values))
 
 
@@ -147,53 +147,57 @@ class Curve:
             return MagnetisationCurve(self.data.points, self.data.rounding).energy(r) - r**2 / 2
         first, second = (p.sx for p in self.parameters)
         if self.data.form == "exponential":
-            return first * r ** (second + 2) / (second + 2)
+            return first * r**second * r**2 / (second + 2)
         return second * ca.fmax(r - first, 0) ** 3 / 3
 
-    def current(self, r: ca.SX) -> ca.SX:
-        """S(r) r."""
+    def current(self, r: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """S(r) r and its derivative."""
         if self.data.points:
-            return MagnetisationCurve(self.data.points, self.data.rounding).current(r) - r
+            at = ca.SX.sym("r")
+            i = MagnetisationCurve(self.data.points, self.data.rounding).current(at) - at
+            both = ca.substitute(ca.vertcat(i, ca.gradient(i, at)), at, r)
+            return both[0], both[1]
         first, second = (p.sx for p in self.parameters)
-        return first * r ** (second + 1) if self.data.form == "exponential" else second * ca.fmax(r - first, 0) ** 2
+        if self.data.form == "exponential":
+            S = first * r**second
+            return S * r, (second + 1) * S
+        beyond = ca.fmax(r - first, 0)
+        return second * beyond**2, 2 * second * beyond
 
     def excess(self, mu: Sequence[ca.SX], stiffness: Sequence[ca.SX]) -> ca.SX:
         """E(mu) in per unit, from the main fluxes mu_a of the linear machine and c_a = `stiffness`, for one axis or two.
 
         The least lies at m_a = mu_a/(1 + S/c_a). With 1/c the mean of 1/c_a in the direction of mu, |m| = r solves
-        r + S(r) r/c = |mu| but for S^2 (1/c_a - 1/c), which the steps below take along; r comes from above, where Newton's method
-        converges monotonously. An r that is not exact changes E by the square of its error, and E is the energy, to the bit.
+        r + S(r) r/c = |mu| up to S^2 (1/c_a - 1/c), which the steps of Newton's method take along. An r that is not exact
+        changes E by the square of its error, and E is the energy, to the bit.
         """
-        size = ca.sqrt(sum((x**2 for x in mu), ca.SX(SMALLEST)))
+        size = _length(mu)
         c = size**2 / sum((x**2 / k for x, k in zip(mu, stiffness, strict=True)), SMALLEST / stiffness[0])
         r = self._first(size, c)
         exact = self.data.form == "quadratic" and len(mu) == 1
         for _ in range(0 if exact else STEPS[self.data.form]):
-            i, slope = self.current(r), self._slope(r)
-            part, bend, gap, rate = i / r, (slope - i / r) / r, -size, ca.SX(0)
+            i, slope = self.current(r)
+            reached = size
             if len(mu) > 1:
-                share = [x * (1 + part / c) / (1 + part / k) for x, k in zip(mu, stiffness, strict=True)]
-                turn = [x * bend * (1 / c - 1 / k) / (1 + part / k) ** 2 for x, k in zip(mu, stiffness, strict=True)]
-                gap = -ca.sqrt(sum((x**2 for x in share), ca.SX(SMALLEST)))
-                rate = sum((x * y for x, y in zip(share, turn, strict=True)), ca.SX(0)) / gap
-            r = r - (r + i / c + gap) / (1 + slope / c + rate)
-        part = self.current(r) / r
-        apart = [x * (part / k) / (1 + part / k) for x, k in zip(mu, stiffness, strict=True)]
-        inside = ca.sqrt(sum(((x - d) ** 2 for x, d in zip(mu, apart, strict=True)), ca.SX(SMALLEST)))
-        leaking = sum((k * d**2 / 2 for d, k in zip(apart, stiffness, strict=True)), ca.SX(0))
-        return leaking + self.energy(inside)
+                S = i / r
+                reached = _length([x * (1 + S / c) / (1 + S / k) for x, k in zip(mu, stiffness, strict=True)])
+            r = r - (r + i / c - reached) / (1 + slope / c)
+        S = self.current(r)[0] / r
+        apart = [x * S / (k + S) for x, k in zip(mu, stiffness, strict=True)]
+        inside = _length([x - d for x, d in zip(mu, apart, strict=True)])
+        return sum((k * d**2 / 2 for d, k in zip(apart, stiffness, strict=True)), self.energy(inside))
 
     def _first(self, size: ca.SX, c: ca.SX) -> ca.SX:
-        """An r from above: the solution of r + S(r) r/c = size where it has a closed form, else a bound."""
+        """The solution of r + S(r) r/c = size where it has a closed form, else one that is right for small and large S."""
         if self.data.points:
             return size
         first, second = (p.sx for p in self.parameters)
         if self.data.form == "exponential":
-            return ca.fmin(size, (c * size / first) ** (1 / (second + 1)))
+            return size * (1 + (second + 1) * first * size**second / c) ** (-1 / (second + 1))
         beyond = ca.fmax(size - first, 0)
         return size - beyond + 2 * beyond / (1 + ca.sqrt(1 + 4 * second * beyond / c))
 
-    def _slope(self, r: ca.SX) -> ca.SX:
-        """d(S(r) r)/dr."""
-        at = ca.SX.sym("r")
-        return ca.substitute(ca.gradient(self.current(at), at), at, r)
+
+def _length(x: Sequence[ca.SX]) -> ca.SX:
+    """|x|, with derivatives at 0."""
+    return ca.sqrt(sum((y**2 for y in x), ca.SX(SMALLEST)))
