@@ -9,6 +9,7 @@ from phfmu.components.electrical.machines.induction_machine import induction_mac
 from phfmu.components.electrical.machines.machine_data import MachineData, MachineDataError, machine_names, machine_set
 from phfmu.components.electrical.machines.machine_init import OperatingPoint, operating_point, steady_state
 from phfmu.components.electrical.machines.machine_per_unit import from_inductances, from_per_unit, reactances
+from phfmu.components.electrical.machines.main_flux import Saturation
 from phfmu.components.electrical.machines.synchronous_machine import machine_at_bus, synchronous_machine
 from phfmu.components.electrical.network.lines import coupled_line, line_per_unit, pi_line, series_compensated_line
 from phfmu.components.electrical.network.loads import capacitor_bank, load, rlc_branch, shunt
@@ -29,6 +30,7 @@ __all__ = [
     "MachineDataError",
     "MagnetisationCurve",
     "OperatingPoint",
+    "Saturation",
     "breaker",
     "capacitor_bank",
     "chopper",

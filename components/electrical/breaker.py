@@ -22,7 +22,7 @@ from phfmu import (
     parameter,
     state,
 )
-from phfmu.components.electrical.machines.park import PHASES
+from phfmu.components.electrical.phases import PHASES
 
 #: currents that opening at a zero leaves, as a part of the typical current: rounding
 LANDED = 1e-6

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from phfmu import ELECTRICAL, PHDAE, Port, energy, parameter, state
-from phfmu.components.electrical.machines.park import PHASES
+from phfmu.components.electrical.phases import PHASES
 
 
 def capacitor_network(

@@ -9,7 +9,7 @@ from math import pi
 import casadi as ca
 
 from phfmu import PHDAE, parameter, time
-from phfmu.components.electrical.machines.park import PHASES
+from phfmu.components.electrical.phases import PHASES
 from phfmu.components.electrical.sources import voltage_source
 
 #: frequencies of grids in Hz, of which rad/s are 2 pi times as many; how near such a number is one of them

@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 
 from phfmu import ELECTRICAL, PHDAE, Port, Switch, algebraic, observable, parameter
-from phfmu.components.electrical.machines.park import PHASES
+from phfmu.components.electrical.phases import PHASES
 
 
 def rectifier_bridge(*, i: float = 1.0, v: float = 1.0) -> PHDAE:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from phfmu import ELECTRICAL, PHDAE, Port, damping, energy, observable, parameter, state
-from phfmu.components.electrical.machines.park import PHASES
+from phfmu.components.electrical.phases import PHASES
 
 
 def rl_line(R: float, L: float, *, i: Sequence[float] = (0.0, 0.0, 0.0), v: float = 1.0, rated: float = 1.0) -> PHDAE:

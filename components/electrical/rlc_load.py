@@ -1,9 +1,11 @@
-"""Three-phase star-grounded parallel R-L-C load; any of the three may be absent."""
+"""Star-grounded parallel R-L-C load of three phases, or of one; any of the three may be absent."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+
+import casadi as ca
 
 from phfmu import (
     ELECTRICAL,
@@ -21,9 +23,10 @@ from phfmu import (
     skew,
     state,
 )
-from phfmu.components.electrical.machines.park import PHASES
+from phfmu.components.electrical.phases import Phases
 
-Phases = Sequence[float]
+#: one value for all phases, or one for each
+Start = float | Sequence[float]
 
 
 def rlc_load(
@@ -31,9 +34,10 @@ def rlc_load(
     L: float | None = None,
     C: float | None = None,
     *,
-    v: Phases = (0.0, 0.0, 0.0),
-    i: Phases = (0.0, 0.0, 0.0),
+    v: Start = 0.0,
+    i: Start = 0.0,
     nominal: float = 1.0,
+    phases: int = 3,
 ) -> PHDAE:
     """Parallel R, L, C from each phase to ground, each optional: a load, a reactor or the shunt of a line.
 
@@ -46,23 +50,25 @@ def rlc_load(
     ports:       terminal: with C the current INTO the load given, voltage out; without C the reverse
     parameters:  R [ohm], L [H], C [F] per phase, of what is there
     observables: v (with C), i_L (with L), i_R (with R)
-    `v`: start voltages of C; `i`: start currents of L; `nominal`: typical voltage [V].
+    `v`: start voltages of C; `i`: start currents of L; `nominal`: typical voltage [V];
+    `phases`: 3, or 1 with scalars for (3).
     """
+    p = Phases.of("rlc_load", phases)
     if R is None and L is None and C is None:
         raise ValueError("rlc_load: give at least one of R, L, C")
     for name, value in (("R", R), ("L", L), ("C", C)):
         if value is not None and not value > 0:
             raise ValueError(f"rlc_load: {name} = {value} must be positive; leave it out (None) for an open branch")
-    coil = None if L is None else _inductor(L, i, nominal)
-    plate = None if C is None else _capacitor(C, v, nominal)
-    resistor = None if R is None else _resistor(R, plate, nominal)
+    coil = None if L is None else _inductor(p, L, i, nominal)
+    plate = None if C is None else _capacitor(p, C, v, nominal)
+    resistor = None if R is None else _resistor(p, R, plate, nominal)
     parts = [b for b in (coil, plate, resistor) if b is not None]
     parameters = [b.parameter for b in (resistor, coil, plate) if b is not None]
     between = () if coil is None or plate is None else (skew(coil.on, plate.on, 1),)
     given = "effort" if plate is None else "flow"
     on = {b.on: 1 for b in parts} if plate is None else {plate.on: 1}
-    port = Port("terminal", ELECTRICAL, given, on, size=3, nominal=nominal if given == "effort" else 1.0,
-                description="phases a, b, c to ground; current into the load", elements=PHASES)  # fmt: skip
+    port = Port("terminal", ELECTRICAL, given, on, nominal=nominal if given == "effort" else 1.0,
+                description="phases a, b, c to ground; current into the load", **p.each)  # fmt: skip
     return PHDAE(
         "rlc_load",
         states=tuple(b.on for b in parts if b.energies),
@@ -73,7 +79,7 @@ def rlc_load(
         dissipation=tuple(d for b in parts for d in b.dissipation),
         ports=(port,),
         observables=tuple(b.observable for b in parts),
-        description="three-phase parallel R-L-C to ground",
+        description=f"{p.word} parallel R-L-C to ground",
     )
 
 
@@ -90,43 +96,44 @@ class Branch:
     dissipation: tuple[Block, ...] = ()
 
 
-def _inductor(L: float, i: Phases, nominal: float) -> Branch:
+def _inductor(p: Phases, L: float, i: Start, nominal: float) -> Branch:
     inductance = parameter("L", L, unit="H", description="inductance per phase")
-    start = [L * k for k in i]
-    flux = state("flux", 3, unit="Wb", start=start, nominal=max([nominal / 377.0, *map(abs, start)]),
-                 description="flux of the inductor per phase", elements=PHASES)  # fmt: skip
-    stored = energy(sum(flux[k] ** 2 for k in range(3)) / (2 * inductance))
-    told = observable("i_L", flux.z, unit="A", description="current of the inductor", elements=PHASES)
+    start = p.start(L, i)
+    most = max(map(abs, start)) if isinstance(start, list) else abs(start)
+    flux = state("flux", unit="Wb", start=start, nominal=max(nominal / 377.0, most),
+                 description="flux of the inductor per phase", **p.each)  # fmt: skip
+    stored = energy(sum(x**2 for x in ca.vertsplit(flux.sx)) / (2 * inductance))
+    told = observable("i_L", flux.z, unit="A", description="current of the inductor", elements=p.elements)
     return Branch(inductance, flux, told, energies=(stored,))
 
 
-def _capacitor(C: float, v: Phases, nominal: float) -> Branch:
+def _capacitor(p: Phases, C: float, v: Start, nominal: float) -> Branch:
     capacitance = parameter("C", C, unit="F", description="capacitance per phase")
-    charge = state("charge", 3, unit="C", start=[C * k for k in v], nominal=C * nominal,
-                   description="charge of the capacitor per phase", elements=PHASES)  # fmt: skip
-    stored = energy(sum(charge[k] ** 2 for k in range(3)) / (2 * capacitance))
+    charge = state("charge", unit="C", start=p.start(C, v), nominal=C * nominal,
+                   description="charge of the capacitor per phase", **p.each)  # fmt: skip
+    stored = energy(sum(x**2 for x in ca.vertsplit(charge.sx)) / (2 * capacitance))
     return Branch(
         capacitance,
         charge,
-        observable("v", charge.z, unit="V", description="voltage to ground", elements=PHASES),
+        observable("v", charge.z, unit="V", description="voltage to ground", elements=p.elements),
         (stored,),
     )
 
 
-def _resistor(R: float, plate: Branch | None, nominal: float) -> Branch:
+def _resistor(p: Phases, R: float, plate: Branch | None, nominal: float) -> Branch:
     """Across the capacitor if there is one, else on algebraic variables of its own."""
     resistance = parameter("R", R, unit="ohm", description="resistance per phase")
     what = "current of the resistor"
     if plate is not None:
-        told = observable("i_R", plate.on.z / resistance.sx, unit="A", description=what, elements=PHASES)
+        told = observable("i_R", plate.on.z / resistance.sx, unit="A", description=what, elements=p.elements)
         return Branch(resistance, plate.on, told, dissipation=(damping(plate.on, 1 / resistance),))
-    current, volt, (turned, lost) = conductance_pair(1 / resistance, nominal)
-    told = observable("i_R", current.sx, unit="A", description=what, elements=PHASES)
+    current, volt, (turned, lost) = conductance_pair(1 / resistance, nominal, p)
+    told = observable("i_R", current.sx, unit="A", description=what, elements=p.elements)
     return Branch(resistance, current, told, (), (current, volt), (turned,), (lost,))
 
 
-def conductance_pair(G, nominal: float) -> tuple[Variable, Variable, tuple[Block, Block]]:
-    """Algebraic (i, v) of a three-phase conductance G with 0 = -v + u, 0 = i - G v; blocks of J and R."""
-    current = algebraic("i", 3, unit="A", description="current into the conductance", elements=PHASES)
-    volt = algebraic("v", 3, unit="V", nominal=nominal, description="voltage across the conductance", elements=PHASES)
+def conductance_pair(G, nominal: float, phases: Phases) -> tuple[Variable, Variable, tuple[Block, Block]]:
+    """Algebraic (i, v) of a conductance G in each phase with 0 = -v + u, 0 = i - G v; blocks of J and R."""
+    current = algebraic("i", unit="A", description="current into the conductance", **phases.each)
+    volt = algebraic("v", unit="V", nominal=nominal, description="voltage across the conductance", **phases.each)
     return current, volt, (skew(volt, current, 1), damping(volt, G))

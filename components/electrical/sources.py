@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 
 from phfmu import ELECTRICAL, PHDAE, Port, Variable, algebraic, parameter, skew, time
-from phfmu.components.electrical.machines.park import PHASES
+from phfmu.components.electrical.phases import PHASES
 
 
 def voltage_source(

@@ -13,10 +13,10 @@ import numpy as np
 from phfmu import Network, meant
 from phfmu.components.electrical.breaker import breaker
 from phfmu.components.electrical.capacitors import capacitor_network
-from phfmu.components.electrical.machines.machine_init import ALPHA
 from phfmu.components.electrical.machines.synchronous_machine import synchronous_machine
 from phfmu.components.electrical.network.lines import coupled_line
 from phfmu.components.electrical.network.transformers import two_winding_transformer
+from phfmu.components.electrical.phases import ALPHA
 from phfmu.components.electrical.rlc_load import rlc_load
 from phfmu.components.electrical.sources import balanced_current_source
 from phfmu.components.electrical.switch import fault_resistor
@@ -97,6 +97,7 @@ def grid_model(
     breakers: Collection[str] = (),
     controls: bool = True,
     q_limits: bool = False,
+    saturation: bool = False,
 ) -> GridModel:
     """The network of a grid, begun flat at the voltages of the table, and what its operating point has to meet.
 
@@ -104,11 +105,12 @@ def grid_model(
     faults: buses with a fault resistor, open;  breakers: lines (line1_2) whose poles can open
     controls: exciters, governors and stabilisers of the dynamic data; without them field voltages and torques are constant
     q_limits: a machine holds its voltage as far as its limits of q let it, else they are told where they are passed
+    saturation: machines have the quadratic saturation of S(1.0) and S(1.2), else the account names what they leave out
     GridError names what has no part here, and machines without data.
     """
     if plants not in ("refuse", "currents"):
         raise ValueError(f"plants = '{plants}' is neither refuse nor currents")
-    return _Build(grid, plants, faults, breakers, controls, q_limits).model()
+    return _Build(grid, plants, faults, breakers, controls, q_limits, saturation).model()
 
 
 @dataclass
@@ -131,8 +133,9 @@ class _Build:
         breakers: Collection[str],
         controls: bool,
         q_limits: bool,
+        saturation: bool,
     ):
-        self.grid, self.plants, self.limited = grid, plants, q_limits
+        self.grid, self.plants, self.limited, self.saturation = grid, plants, q_limits, saturation
         self.omega = 2.0 * pi * grid.frequency
         self.bus = grid.bus
         self.net = Network(identifier(grid.name) or "grid", description=f"{grid.name}: {len(grid.buses)} buses")
@@ -416,7 +419,7 @@ class _Build:
                 self.rows.append(Row(kind, device, (), "nothing: p = q = 0"))
             return
         try:
-            machine = machine_of(name, g, data, self.bus[g.bus].kv, self.grid.frequency)
+            machine = machine_of(name, g, data, self.bus[g.bus].kv, self.grid.frequency, saturation=self.saturation)
         except GridError as error:
             self.problems += [str(error)]
             return
@@ -424,7 +427,7 @@ class _Build:
         theta = next(v for v in model.states if v.name == "theta").start[0] + self.angle[g.bus]
         self.net.add(name, model.with_starts({"theta": theta}))
         self.nodes[g.bus].ends.append(f"{name}.terminal")
-        unused, assumed, free = [remote, dropped(data)], ["field and torque constant"], None
+        unused, assumed, free = [remote, dropped(data, saturation=self.saturation)], ["field and torque constant"], None
         if self.controls:
             try:
                 found = self.controls.add(name, g.id, machine, self.bus[g.bus], self.angle[g.bus], g.p / g.base)
@@ -440,6 +443,8 @@ class _Build:
                 self.nodes[g.bus].ends.append(meter)
         else:
             used = f"{used}, {data.model}"
+        if machine.saturation is not None:
+            used += ", S(1.0), S(1.2)"
         self._specify(f"{name}.terminal", g.bus, complex(g.p, g.q), holds, free, g.q_limits)
         self.rows.append(Row(kind, device, (name,), used, "; ".join(filter(None, unused)), "; ".join(assumed)))
 

@@ -70,12 +70,13 @@ def grid_scene(
     plants: Plants = "refuse",
     controls: bool = True,
     q_limits: bool = False,
+    saturation: bool = False,
     stop: float = 1.0,
     step: float = 5e-5,
 ) -> Scene:
     """The grid in its operating point, with the faults and trips as events; the scene's notes are the account of the import.
 
-    plants, controls, q_limits: those of `grid_model`;  stop, step [s]: of the run
+    plants, controls, q_limits, saturation: those of `grid_model`;  stop, step [s]: of the run
     GridError for data without parts; NoOperatingPoint where there is none.
     """
     ends = [f.end for f in faults]
@@ -83,7 +84,15 @@ def grid_scene(
         raise ValueError(f"trip of {open_ended[0]}: say when ({open_ended[0]}:0.2), as there is no fault that ends")
     buses = list(dict.fromkeys(f.bus for f in faults))
     breakers = [t.branch for t in trips]
-    model = grid_model(grid, plants=plants, faults=buses, breakers=breakers, controls=controls, q_limits=q_limits)
+    model = grid_model(
+        grid,
+        plants=plants,
+        faults=buses,
+        breakers=breakers,
+        controls=controls,
+        q_limits=q_limits,
+        saturation=saturation,
+    )
     events = [e for f in faults for e in _events(model, f)]
     events += [
         Event(min(ends) if t.t is None else t.t, f"{model.branch(t.branch)}.command", 0.0)

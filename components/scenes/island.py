@@ -11,8 +11,8 @@ from phfmu.components.control import bases, meter, pss1a, sexs, tgov1
 from phfmu.components.electrical.breaker import clearing_fault
 from phfmu.components.electrical.infinite_bus import infinite_bus
 from phfmu.components.electrical.machines.machine_data import MachineData, machine_set
-from phfmu.components.electrical.machines.machine_init import ALPHA
 from phfmu.components.electrical.machines.synchronous_machine import synchronous_machine
+from phfmu.components.electrical.phases import ALPHA
 from phfmu.components.electrical.rl_line import rl_line
 from phfmu.components.electrical.rlc_load import rlc_load
 from phfmu.components.electrical.switch import fault_resistor

@@ -7,8 +7,9 @@ from math import sqrt
 from phfmu import Event, Network, Scene
 from phfmu.components.electrical.infinite_bus import infinite_bus
 from phfmu.components.electrical.machines.machine_data import machine_set
-from phfmu.components.electrical.machines.machine_init import ALPHA, steady_state
+from phfmu.components.electrical.machines.machine_init import steady_state
 from phfmu.components.electrical.machines.synchronous_machine import Coordinates, synchronous_machine
+from phfmu.components.electrical.phases import ALPHA
 from phfmu.components.electrical.rl_line import rl_line
 from phfmu.components.electrical.rlc_load import rlc_load
 

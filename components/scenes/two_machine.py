@@ -8,8 +8,9 @@ from math import sqrt
 
 from phfmu import Event, Network, Scene
 from phfmu.components.electrical.machines.machine_data import MachineData, machine_set
-from phfmu.components.electrical.machines.machine_init import ALPHA, steady_state
+from phfmu.components.electrical.machines.machine_init import steady_state
 from phfmu.components.electrical.machines.synchronous_machine import Coordinates, synchronous_machine
+from phfmu.components.electrical.phases import ALPHA
 from phfmu.components.electrical.rl_line import rl_line
 from phfmu.components.electrical.rlc_load import rlc_load
 from phfmu.components.electrical.switch import fault_resistor
@@ -24,6 +25,7 @@ def rebased(data: MachineData, V: float) -> MachineData:
     return replace(
         data,
         Vn_rms_ll=V, Ra=data.Ra * k**2, Ld=data.Ld * k**2, Lq=data.Lq * k**2, L0=data.L0 * k**2,
+        Ll=None if data.Ll is None else data.Ll * k**2,
         R_rotor=tuple(r * t**2 for r, t in zip(data.R_rotor, turns, strict=True)),
         M_stator_rotor=tuple(m * k * t for m, t in zip(data.M_stator_rotor, turns, strict=True)),
         L_rotor=tuple(tuple(x * a * b for x, b in zip(row, turns, strict=True))

@@ -9,9 +9,9 @@ from typing import Any
 from phfmu import Event, Network, Scene
 from phfmu.components.electrical.breaker import breaker
 from phfmu.components.electrical.machines.machine_data import MachineData
-from phfmu.components.electrical.machines.machine_init import ALPHA
 from phfmu.components.electrical.machines.machine_per_unit import from_per_unit
 from phfmu.components.electrical.machines.synchronous_machine import Coordinates, synchronous_machine
+from phfmu.components.electrical.phases import ALPHA
 from phfmu.components.electrical.resistor import transformer
 from phfmu.components.electrical.rl_line import rl_line
 from phfmu.components.electrical.rlc_load import rlc_load

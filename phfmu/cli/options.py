@@ -45,7 +45,7 @@ def lenient_of(args: argparse.Namespace) -> bool:
 
 
 def add_grid(parser: argparse.ArgumentParser) -> None:
-    """--dynamics, --fault, --trip, --plants, --no-controls, --q-limits: of grids."""
+    """--dynamics, --fault, --trip, --plants, --no-controls, --q-limits, --saturation: of grids."""
     parser.add_argument("--dynamics", metavar="DIR|FILE",
                         help="dynamic data of a grid: .dyr, .xlsx, or .csv tables (a folder, 'DIR/a_*.csv')")  # fmt: skip
     parser.add_argument("--fault", action="append", default=[], metavar="BUS:BEGIN:END[:R]",
@@ -59,13 +59,15 @@ def add_grid(parser: argparse.ArgumentParser) -> None:
                         help="a grid without its exciters, governors, stabilisers: fields and torques constant")  # fmt: skip
     parser.add_argument("--q-limits", action="store_true",
                         help="generators of a grid hold their voltage within their limits of reactive power only")  # fmt: skip
+    parser.add_argument("--saturation", action="store_true",
+                        help="machines of a grid saturate as S(1.0), S(1.2) of their data say (default: linear)")  # fmt: skip
 
 
 def scene_of(args: argparse.Namespace) -> Scene:
     """The target as a scene, a grid with its dynamic data, faults and trips; ValueError for these options with other targets."""
     from phfmu.target import is_grid, scene
 
-    given = [f"--{name}" for name in ("dynamics", "fault", "trip", "plants", "no-controls", "q-limits")
+    given = [f"--{name}" for name in ("dynamics", "fault", "trip", "plants", "no-controls", "q-limits", "saturation")
              if getattr(args, name.replace("-", "_"))]  # fmt: skip
     if not is_grid(args.target):
         if given:
@@ -77,7 +79,7 @@ def scene_of(args: argparse.Namespace) -> Scene:
     return grid_scene(
         read_grid(args.target, args.dynamics), faults=[fault_of(f) for f in args.fault],
         trips=[trip_of(t) for t in args.trip], plants=args.plants or "refuse",
-        controls=not args.no_controls, q_limits=args.q_limits,
+        controls=not args.no_controls, q_limits=args.q_limits, saturation=args.saturation,
     )  # fmt: skip
 
 

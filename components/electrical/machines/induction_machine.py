@@ -23,7 +23,7 @@ from phfmu import (
     parameter,
     state,
 )
-from phfmu.components.electrical.machines.park import PHASES
+from phfmu.components.electrical.phases import PHASES
 
 #: orthonormal Clarke matrix: phases a, b, c -> alpha, beta, 0
 CLARKE = ca.DM([[1.0, -0.5, -0.5], [0.0, sqrt(0.75), -sqrt(0.75)], [sqrt(0.5)] * 3]) * sqrt(2.0 / 3.0)

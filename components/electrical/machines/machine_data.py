@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu import Problem, Refusal, meant
+from phfmu.components.electrical.machines.main_flux import Saturation
 
 #: Peak stator-rotor mutual inductances M act as sqrt(3/2) M in orthonormal dq coordinates.
 COUPLING = sqrt(1.5)
@@ -40,6 +41,7 @@ class MachineData:
     first is the field winding.  Ld, Lq, L0 [H]: synchronous and zero-sequence inductances.  M_stator_rotor
     [H]: peak mutual inductance of a phase with each rotor winding.  L_rotor [H]: rotor matrix.  J [kg m2],
     d [N m s/rad]: electrical (one pole pair) unless pole_pairs is given; then mechanical.
+    Ll [H]: leakage of the stator, which tells the main flux;  saturation: of it, None for a linear machine; it needs Ll.
     """
 
     name: str
@@ -57,6 +59,8 @@ class MachineData:
     J: float
     d: float = 0.0
     pole_pairs: int = 1
+    Ll: float | None = None
+    saturation: Saturation | None = None
 
     @property
     def omega(self) -> float:
@@ -204,13 +208,15 @@ def _plain(value: Any) -> Any:
     """Nested sequences as tuples, so that a set is frozen; numbers as float."""
     if isinstance(value, (list, tuple, np.ndarray)):
         return tuple(_plain(v) for v in value)
-    return value if isinstance(value, (str, int)) else float(value)
+    if isinstance(value, Mapping):
+        return Saturation(**{k: _plain(v) for k, v in value.items()})
+    return value if value is None or isinstance(value, (str, int, Saturation)) else float(value)
 
 
 def machine_problems(data: MachineData) -> list[Wrong]:
     """Everything that makes `data` impossible, each with its remedy; empty if it is sound."""
     problems = _sizes(data)
-    return problems or [*_signs(data), *_definite(data)]
+    return problems or [*_signs(data), *_definite(data)] or _saturation(data)
 
 
 def _sizes(data: MachineData) -> list[Wrong]:
@@ -285,4 +291,30 @@ def _definite(data: MachineData) -> list[Wrong]:
                     f"check M_stator_rotor, L_rotor and L{axis}",
                 )
             )
+    return out
+
+
+def _saturation(data: MachineData) -> list[Wrong]:
+    """What keeps the main flux from saturating: no leakage, leakages that are negative, a curve that is not convex."""
+    if data.saturation is None:
+        return []
+    if data.Ll is None:
+        return [("saturation without Ll", "give the leakage Ll [H] of the stator: the main flux is what it leaves")]
+    if not 0 < data.Ll < min(data.Ld, data.Lq):
+        smaller = min(data.Ld, data.Lq)
+        return [
+            (f"Ll = {data.Ll:g} H is not between 0 and min(Ld, Lq) = {smaller:g} H", "give the stator's leakage in H")
+        ]
+    out = data.saturation.problems()
+    for axis, L in (("d", data.Ld), ("q", data.Lq)):
+        where = data.on_axis(axis)
+        M = COUPLING * np.array([data.M_stator_rotor[j] for j in where])
+        leakage = np.array(data.L_rotor)[np.ix_(where, where)] - np.outer(M, M) / (L - data.Ll)
+        values = np.linalg.eigvalsh(leakage) if where else np.ones(1)
+        if not values[0] > 0:
+            text = (
+                f"Ll = {data.Ll:g} H leaves the rotor windings on {axis} leakages with the eigenvalue {values[0]:.3g} H: the "
+                "energy is not convex in the main flux"
+            )
+            out.append((text, "give the leakage that belongs to M_stator_rotor and L_rotor"))
     return out

@@ -23,6 +23,7 @@ import numpy as np
 
 from phfmu import Problem, meant
 from phfmu.components.electrical.machines.machine_data import MachineData, MachineDataError, Wrong, machine_set
+from phfmu.components.electrical.machines.main_flux import Saturation
 
 #: a rotor winding in the circuit: resistance and leakage reactance
 Branch = tuple[float, float]
@@ -65,6 +66,7 @@ def from_per_unit(
     J: float | None = None,
     pole_pairs: int = 1,
     no_load_field_current: float | None = None,
+    saturation: Saturation | None = None,
     **data: Any,
 ) -> MachineData:
     """A machine set from per-unit data on the base of the machine (Sn [VA], Vn_rms_ll [V], fn [Hz]).
@@ -80,6 +82,7 @@ def from_per_unit(
     H [s] is the inertia constant, or J [kg m2] the inertia of the shaft.  Beside them: ra (default 0), x0 (default xl),
     D (friction torque in per unit at rated speed, on the whole speed).  no_load_field_current [A] gives rated voltage on
     the air-gap line and fixes the units of the field's port; without it the field has 1.5 times the turns of a phase.
+    `saturation` of the main flux, behind xl; none with GENCLS, whose flux is constant.
     A winding that the data give no room, xq' = xq or xd'' = xd', is left out with a UserWarning.
     MachineDataError lists all data that are missing, unknown or contradict themselves, with the numbers.
     """
@@ -94,12 +97,14 @@ def from_per_unit(
         problems += _ordered(model, values)
     if problems:
         raise MachineDataError.of([Problem("", entry, *p) for p in problems])
+    if saturation is not None and model == "GENCLS":
+        raise MachineDataError(entry, "saturates, but the flux of a GENCLS is constant", "leave saturation out")
     omega = 2.0 * pi * fn
     circuit = _given(values, data) if model is None else _circuit(name, model, values, omega)
     inertia = 2.0 * H * Sn / (omega / pole_pairs) ** 2 if J is None and H is not None else J
     return _machine(
         name, circuit, Vn_rms_ll**2 / Sn, omega, no_load_field_current,
-        Sn=Sn, Vn_rms_ll=Vn_rms_ll, fn=fn, J=inertia, pole_pairs=pole_pairs,
+        Sn=Sn, Vn_rms_ll=Vn_rms_ll, fn=fn, J=inertia, pole_pairs=pole_pairs, saturation=saturation,
         d=values.get("D", 0.0) * Sn / (omega / pole_pairs) ** 2,
     )  # fmt: skip
 
@@ -121,17 +126,18 @@ def from_inductances(
     d: float = 0.0,
     pole_pairs: int = 1,
     no_load_field_current: float | None = None,
+    saturation: Saturation | None = None,
 ) -> MachineData:
     """A machine set from the SI values of its equivalent circuit, referred to the stator.
 
     Ra [ohm]; Ll, Lmd, Lmq, L0 (default Ll) [H]: leakage, magnetising and zero-sequence inductances of the stator;
     rotor_d, rotor_q: (resistance [ohm], leakage inductance [H]) of each rotor winding, the field first on d;
-    J [kg m2], d [N m s/rad] as in `MachineData`.  no_load_field_current as in `from_per_unit`.
+    J [kg m2], d [N m s/rad] as in `MachineData`.  no_load_field_current and saturation as in `from_per_unit`.
     """
     circuit = EquivalentCircuit(Ra, Ll, Ll if L0 is None else L0, Lmd, Lmq, tuple(rotor_d), tuple(rotor_q))
     return _machine(
         name, circuit, 1.0, 1.0, no_load_field_current,
-        Sn=Sn, Vn_rms_ll=Vn_rms_ll, fn=fn, J=J, d=d, pole_pairs=pole_pairs,
+        Sn=Sn, Vn_rms_ll=Vn_rms_ll, fn=fn, J=J, d=d, pole_pairs=pole_pairs, saturation=saturation,
     )  # fmt: skip
 
 
@@ -289,7 +295,7 @@ def _machine(
         "name": name, **ratings, "Ra": c.ra * Z,
         "axis": [a for a, _, _ in windings],
         "R_rotor": [1.5 * r * Z / k[i] ** 2 for i, (_, r, _) in enumerate(windings)],
-        "Ld": (c.xl + c.xad) * Lb, "Lq": (c.xl + c.xaq) * Lb, "L0": c.x0 * Lb,
+        "Ll": c.xl * Lb, "Ld": (c.xl + c.xad) * Lb, "Lq": (c.xl + c.xaq) * Lb, "L0": c.x0 * Lb,
         "M_stator_rotor": [mutual[a] * Lb / k[i] for i, (a, _, _) in enumerate(windings)],
         "L_rotor": rotor,
     })  # fmt: skip

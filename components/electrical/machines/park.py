@@ -9,10 +9,11 @@ import casadi as ca
 
 from phfmu import Variable, parameter
 from phfmu.components.electrical.machines.machine_data import COUPLING, MachineData
-from phfmu.components.electrical.machines.machine_init import ALPHA
+from phfmu.components.electrical.machines.main_flux import Curve
+from phfmu.components.electrical.phases import ALPHA
 
-#: names of the entries of three-phase quantities, in the stator's frame and in the rotor's
-PHASES, ROTATING = ("a", "b", "c"), ("d", "q", "0")
+#: names of the entries of three-phase quantities in the rotor's frame
+ROTATING = ("d", "q", "0")
 
 
 def park_matrix(theta: ca.SX) -> ca.SX:
@@ -32,7 +33,8 @@ class Inductances:
     """Inductances of a machine as parameters, named Ld, Lq, L0, M_f, .., L_ff, L_fkd, ..
 
     M: with each rotor winding; rotor: (i, j) -> L_ij of two windings on one axis, i <= j.  `line`: inductance per phase
-    in series with the stator; it adds to Ld, Lq and L0, because it is the same in all frames.
+    in series with the stator; it adds to Ld, Lq and L0, because it is the same in all frames.  With saturation `leakage` is
+    Ll, `curve` the no-load curve and `rated` [Wb] the main flux of its 1 in orthonormal coordinates.
     """
 
     Ld: Variable
@@ -42,10 +44,15 @@ class Inductances:
     rotor: dict[tuple[int, int], Variable]
     axis: tuple[str, ...]
     line: Variable | None = None
+    leakage: Variable | None = None
+    curve: Curve | None = None
+    rated: float = 1.0
 
     @property
     def parameters(self) -> tuple[Variable, ...]:
-        return (self.Ld, self.Lq, self.L0, *self.M, *self.rotor.values(), *(() if self.line is None else (self.line,)))
+        iron = () if self.curve is None or self.leakage is None else (self.leakage, *self.curve.parameters)
+        series = () if self.line is None else (self.line,)
+        return (self.Ld, self.Lq, self.L0, *self.M, *self.rotor.values(), *series, *iron)
 
     @property
     def stator(self) -> tuple[ca.SX, ca.SX, ca.SX]:
@@ -90,7 +97,16 @@ def inductances(data: MachineData, line: Variable | None = None) -> Inductances:
         },
         data.axis,
         line,
+        *_iron(data),
     )
+
+
+def _iron(data: MachineData) -> tuple[Variable | None, Curve | None, float]:
+    """Leakage, no-load curve and rated main flux of a machine that saturates."""
+    if data.saturation is None or data.Ll is None:
+        return None, None, 1.0
+    leakage = parameter("Ll", data.Ll, unit="H", positive=True, description="leakage inductance of the stator")
+    return leakage, data.saturation.curve(), data.Vn_rms_ll / data.omega
 
 
 def magnetic_energy(flux: ca.SX, L: Inductances) -> ca.SX:
@@ -101,15 +117,55 @@ def magnetic_energy(flux: ca.SX, L: Inductances) -> ca.SX:
     total = flux[2] ** 2 / (2 * L.stator[2])
     for axis in ("d", "q"):
         where, block = L.axis_block(axis)
-        y, work = [flux[i] for i in where], ca.SX(block)
-        for k in range(len(where)):
-            total += y[k] ** 2 / (2 * work[k, k])
-            for i in range(k + 1, len(where)):
-                factor = work[i, k] / work[k, k]
-                y[i] = y[i] - factor * y[k]
-                for j in range(k + 1, len(where)):
-                    work[i, j] = work[i, j] - factor * work[k, j]
+        (y,), pivots = _eliminated(block, [flux[i] for i in where])
+        total += sum(x**2 / (2 * d) for x, d in zip(y, pivots, strict=True))
     return total
+
+
+def _eliminated(block: ca.SX, *columns: list[ca.SX]) -> tuple[list[list[ca.SX]], list[ca.SX]]:
+    """The columns M^-1 x and the pivots D of a symmetric block M D M^T."""
+    work, out, n = ca.SX(block), [list(c) for c in columns], block.shape[0]
+    for k in range(n):
+        for i in range(k + 1, n):
+            factor = work[i, k] / work[k, k]
+            for y in out:
+                y[i] = y[i] - factor * y[k]
+            for j in range(k + 1, n):
+                work[i, j] = work[i, j] - factor * work[k, j]
+    return out, [work[k, k] for k in range(n)]
+
+
+def main_flux(flux: ca.SX, L: Inductances) -> tuple[list[ca.SX], list[ca.SX], ca.SX]:
+    """Main fluxes (d, q) of the linear machine with the fluxes (d, q, 0, rotor), in per unit; their stiffnesses; energy base.
+
+    With the leakages Lambda and the turns n of an axis:  c = 1/Lm + n^T Lambda^-1 n,  mu = n^T Lambda^-1 psi/c,  c in 1/Lmd.
+    """
+    assert L.leakage is not None
+    mu, stiffness = [], []
+    Lmd = L.Ld - L.leakage.sx
+    for axis in ("d", "q"):
+        where, block = L.axis_block(axis)
+        Lm = (L.Ld if axis == "d" else L.Lq) - L.leakage.sx
+        turns = [ca.SX(1), *(COUPLING * L.M[i - 3].sx / Lm for i in where[1:])]
+        leakages = ca.SX(block)
+        for i, a in enumerate(turns):
+            for j, b in enumerate(turns):
+                leakages[i, j] = block[i, j] - Lm * a * b if i and j else 0
+        leakages[0, 0] = block[0, 0] - Lm
+        (y, n), pivots = _eliminated(leakages, [flux[i] for i in where], turns)
+        c = 1 / Lm + sum(a**2 / d for a, d in zip(n, pivots, strict=True))
+        mu.append(sum(a * x / d for a, x, d in zip(n, y, pivots, strict=True)) / (c * L.rated))
+        stiffness.append(c * Lmd)
+    return mu, stiffness, L.rated**2 / Lmd
+
+
+def saturation_energy(flux: ca.SX, L: Inductances) -> ca.SX | None:
+    """What a saturated machine with the fluxes (d, q, 0, rotor) stores beyond `magnetic_energy`; None for a linear one."""
+    if L.curve is None:
+        return None
+    mu, stiffness, base = main_flux(flux, L)
+    axes = 2 if L.curve.data.axes == "dq" else 1
+    return base * L.curve.excess(mu[:axes], stiffness[:axes])
 
 
 def phase_inductance(theta: ca.SX, L: Inductances) -> tuple[ca.SX, ca.SX, ca.SX]:

@@ -24,18 +24,20 @@ from phfmu import (
     skew,
     state,
 )
-from phfmu.components.electrical.machines.machine_data import MachineData, machine_set
+from phfmu.components.electrical.machines.machine_data import MachineData, MachineDataError, machine_set
 from phfmu.components.electrical.machines.machine_init import OperatingPoint, operating_point, steady_state
+from phfmu.components.electrical.machines.main_flux import Saturation
 from phfmu.components.electrical.machines.park import (
-    PHASES,
     ROTATING,
     Inductances,
     inductances,
     magnetic_energy,
     park_matrix,
     phase_inductance,
+    saturation_energy,
     sinc,
 )
+from phfmu.components.electrical.phases import PHASES
 
 Coordinates = Literal["dq-flux", "abc-flux", "current"]
 
@@ -45,12 +47,14 @@ def synchronous_machine(
     *,
     coordinates: Coordinates = "dq-flux",
     start: OperatingPoint | None = None,
+    saturation: Saturation | None = None,
 ) -> PHDAE:
     """Synchronous machine with field and damper windings, all stator transients, in motor sign.
 
     psi' = v - R I,  p' = tau - d omega + 1/2 I^T L'(theta) I,  theta' = omega = p/J,  psi = L(theta) I
 
-    H:  1/2 psi^T L(theta)^-1 psi + p^2/(2 J); quadratic in "dq-flux": psi_dq = T psi, L = T^T Lhat T
+    H:  1/2 psi^T L(theta)^-1 psi + p^2/(2 J); quadratic in "dq-flux": psi_dq = T psi, L = T^T Lhat T;
+        with saturation also E(mu), the convex energy of the iron, see `Saturation`
     J:  J[theta, p] = 1 (skew); in "dq-flux" also J[psi_d, p] = psi_q, J[psi_q, p] = -psi_d (skew)
     R:  Ra on the stator, R_f, R_kd, .. on the rotor, d on p
 
@@ -58,16 +62,18 @@ def synchronous_machine(
                  p [kg.m2/s]; theta [rad], electrical angle of the d axis from phase a; grows for ever
     ports:       terminal: phase voltages given, currents INTO the machine out; field: voltage given, current
                  out; shaft: torque given, speed out; a positive torque accelerates: tau > 0 for a generator
-    parameters:  J, d, Ra, R_f, R_kd, .., Ld, Lq, L0, M_f, .., L_ff, L_fkd, ..
+    parameters:  J, d, Ra, R_f, R_kd, .., Ld, Lq, L0, M_f, .., L_ff, L_fkd, ..; with saturation Ll and those of the curve
     observables: I[..], flux[..] (windings a, b, c, rotor), Te (electrical torque; negative for a generator)
 
     omega, J, d, tau are electrical (one pole pair) unless the set gives pole_pairs; then J, d, torque and
     speed of the shaft port are mechanical, theta and p stay electrical, p = J omega / pole_pairs^2.
     `start` (default: 0.8 and 0.2 of rated P, Q) also gives the start values of the inputs.
-    "abc-flux" keeps the phase fluxes exact; "current" has E = [[L, 0, L'I], [0, 1, 0], [0, 0, 1]], order 2.
+    "abc-flux" keeps the phase fluxes exact; "current" has E = [[L, 0, L'I], [0, 1, 0], [0, 0, 1]], order 2, no saturation.
+    `saturation` (default: that of the set) of the main flux; the set must give Ll.  Where a quadratic curve begins its third
+    derivative jumps, so that steps over that point have order 2 at most there.
     Source: Kinon, Morandin, Schulze, Appl. Numer. Math. 2026, Example 4, Appendix B; Kundur 1994, chapter 3.
     """
-    data = machine_set(machine)
+    data = _saturated(machine, saturation)
     return _build(data, coordinates, start or steady_state(data), None)
 
 
@@ -78,6 +84,7 @@ def machine_at_bus(
     *,
     coordinates: Coordinates = "dq-flux",
     start: OperatingPoint | None = None,
+    saturation: Saturation | None = None,
 ) -> PHDAE:
     """`synchronous_machine` behind a series line, its terminal at the far end: there is no node in between.
 
@@ -87,21 +94,28 @@ def machine_at_bus(
     machine and line, where only inductors meet (index 2), is gone, and all states have the order of the scheme.
     states, ports, observables: those of the machine; psi and flux include the line; terminal: the far end
     parameters:  those of the machine, R_line [ohm], L_line [H] per phase
-    R [ohm], L [H]: of the line (default: 0.02 and 0.3 of the base impedance).  `start`: of the machine at its own terminals,
-    which the start value of the terminal voltage turns into the far end's for a balanced steady state.
+    R [ohm], L [H]: of the line (default: 0.02 and 0.3 of the base impedance).  `saturation`: of the machine, whose main flux
+    does not include the line.  `start`: of the machine at its own terminals, which the start value of the terminal voltage turns
+    into the far end's for a balanced steady state.
     """
-    data = machine_set(machine)
+    data = _saturated(machine, saturation)
     base = data.Vn_rms_ll**2 / data.Sn
     R, L = 0.02 * base if R is None else R, 0.3 * base / data.omega if L is None else L
     if not L >= 0 or not R >= 0:
         raise ValueError(f"machine_at_bus: R = {R} ohm and L = {L} H of the line must not be negative")
     near = start or steady_state(data)
-    folded = machine_set(data, Ld=data.Ld + L, Lq=data.Lq + L, L0=data.L0 + L)
+    leakage = {} if data.Ll is None else {"Ll": data.Ll + L}
+    folded = machine_set(data, Ld=data.Ld + L, Lq=data.Lq + L, L0=data.L0 + L, **leakage)
     far = operating_point(
         folded, near.I, near.p, near.theta, v=_far_end(near, R, L, data.omega), Vf=near.Vf, tau=near.tau
     )
     model = _build(data, coordinates, far, (R, L))
     return replace(model, name="machine_at_bus", description=f"{model.description}, behind a line")
+
+
+def _saturated(machine: str | Mapping[str, Any] | MachineData, saturation: Saturation | None) -> MachineData:
+    """The set with this saturation, or its own."""
+    return machine_set(machine) if saturation is None else machine_set(machine, saturation=saturation)
 
 
 def _far_end(near: OperatingPoint, R: float, L: float, omega: float) -> list[float]:
@@ -237,7 +251,8 @@ def _dq_flux(c: _Common) -> PHDAE:
         "flux": ca.vertcat(ca.mtimes(T.T, psi[:3]), psi[3:]),
         "Te": psi[0] * psi.z[1] - psi[1] * psi.z[0],
     }
-    energies = (energy(magnetic_energy(psi.sx, c.L)), energy(c.kinetic))
+    iron = saturation_energy(psi.sx, c.L)
+    energies = (energy(magnetic_energy(psi.sx, c.L)), *(() if iron is None else (energy(iron),)), energy(c.kinetic))
     return c.model(psi, T, {"energies": energies, "structure": (block([psi, c.p], turn),)}, observables)
 
 
@@ -245,11 +260,16 @@ def _abc_flux(c: _Common) -> PHDAE:
     psi = c.windings("psi", "Wb", c.start.psi, c.base_flux, "fluxes a, b, c, rotor", PHASES)
     dq = ca.vertcat(ca.mtimes(park_matrix(c.theta.sx), psi[:3]), psi[3:])
     observables = {"I": psi.z, "flux": psi.sx, "Te": -c.theta.z}
-    energies = (energy(magnetic_energy(dq, c.L), correct=(c.theta,)), energy(c.kinetic))
+    iron = saturation_energy(dq, c.L)
+    stored = magnetic_energy(dq, c.L) if iron is None else magnetic_energy(dq, c.L) + iron
+    energies = (energy(stored, correct=(c.theta,)), energy(c.kinetic))
     return c.model(psi, ca.SX.eye(3), {"energies": energies}, observables)
 
 
 def _current(c: _Common) -> PHDAE:
+    if c.data.saturation is not None:
+        text = "saturates, whose L(theta) is none of the currents"
+        raise MachineDataError(f"machine '{c.data.name}'", text, "take coordinates 'dq-flux' or 'abc-flux'")
     I = c.windings("I", "A", c.start.I, c.base_current, "currents a, b, c, rotor", PHASES)
     n, theta = c.data.n, c.theta.sx
     constant, first, second = phase_inductance(theta, c.L)

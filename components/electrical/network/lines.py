@@ -1,4 +1,4 @@
-"""Three-phase lines from positive- and zero-sequence data: series, charged, series-compensated."""
+"""Lines from positive- and zero-sequence data, or of one phase: series, charged, series-compensated."""
 
 from __future__ import annotations
 
@@ -8,19 +8,8 @@ from typing import Any
 
 import casadi as ca
 
-from phfmu import ELECTRICAL, PHDAE, Energy, Port, Variable, block, energy, observable, parameter, skew, state
-from phfmu.components.electrical.machines.park import PHASES
-
-
-def symmetric(positive: Any, zero: Any) -> ca.SX:
-    """The phase matrix (3 x 3) of two sequence values: (zero + 2 positive)/3 on the diagonal, (zero - positive)/3 off it."""
-    return positive * ca.SX.eye(3) + (zero - positive) / 3.0 * ca.SX.ones(3, 3)
-
-
-def sequence_energy(x: Variable, positive: Any, zero: Any) -> Energy:
-    """|x_12|^2/(2 positive) + |x_0|^2/(2 zero), where x_0 is the mean of the phases and x_12 is what is left of x (3)."""
-    common = ca.sum1(x.sx) ** 2 / 3.0
-    return energy((ca.sumsqr(x.sx) - common) / (2.0 * positive) + common / (2.0 * zero))
+from phfmu import ELECTRICAL, PHDAE, Energy, Port, Variable, block, damping, energy, observable, parameter, skew, state
+from phfmu.components.electrical.phases import Phases
 
 
 def require_sequences(part: str, name: str, unit: str, positive: float, zero: float, least: str = "positive") -> None:
@@ -71,49 +60,53 @@ def line_per_unit(
 class _Series:
     """The series part of a line: flux of the phases, its sequence inductances and resistances."""
 
+    phases: Phases
     flux: Variable
     parameters: tuple[Variable, ...]
     energy: Energy
     resistance: Any
 
 
-def _series(part: str, R: float, L: float, R0: float | None, L0: float | None, rated: float) -> _Series:
+def _series(
+    part: str, phases: int, R: float, L: float, R0: float | None, L0: float | None, rated: float, **more: float | None
+) -> _Series:
+    p = Phases.of(part, phases)
+    p.no_zero_sequence(part, R0=R0, L0=L0, **more)
     R0, L0 = R if R0 is None else R0, L if L0 is None else L0
     require_sequences(part, "L", "H", L, L0)
     require_sequences(part, "R", "ohm", R, R0, "not negative")
     r = parameter("R", R, unit="ohm", min=0.0, description="positive-sequence resistance")
     l = parameter("L", L, unit="H", positive=True, description="positive-sequence inductance")
+    flux = state("flux", unit="Wb", nominal=max(L, L0) * rated, description="flux per phase, a to b", **p.each)
+    if p.count == 1:
+        return _Series(p, flux, (r, l), p.energy(flux, l.sx, None), damping(flux, r))
     r0 = parameter("R0", R0, unit="ohm", min=0.0, description="zero-sequence resistance")
     l0 = parameter("L0", L0, unit="H", positive=True, description="zero-sequence inductance")
-    flux = state(
-        "flux", 3, unit="Wb", nominal=max(L, L0) * rated, description="flux per phase, a to b", elements=PHASES
-    )
-    stored = sequence_energy(flux, l.sx, l0.sx)
-    return _Series(flux, (r, l, r0, l0), stored, block((flux,), symmetric(r.sx, r0.sx)))
+    return _Series(p, flux, (r, l, r0, l0), p.energy(flux, l.sx, l0.sx), block((flux,), p.matrix(r.sx, r0.sx)))
 
 
-def _ends(on: dict[str, dict[Variable, float]], given: Any, nominal: float) -> tuple[Port, ...]:
+def _ends(p: Phases, on: dict[str, dict[Variable, float]], given: Any, nominal: float) -> tuple[Port, ...]:
     return tuple(
         Port(
-            end,
-            ELECTRICAL,
-            given,
-            columns,
-            size=3,
-            nominal=nominal,
-            description=f"end {end}; current into the line",
-            elements=PHASES,
+            end, ELECTRICAL, given, columns, nominal=nominal, description=f"end {end}; current into the line", **p.each
         )
         for end, columns in on.items()
     )
 
 
-def _through(flux: Variable) -> Any:
-    return observable("i", flux.z, unit="A", description="current from a to b", elements=PHASES)
+def _through(p: Phases, flux: Variable) -> Any:
+    return observable("i", flux.z, unit="A", description="current from a to b", elements=p.elements)
 
 
 def coupled_line(
-    R: float, L: float, *, R0: float | None = None, L0: float | None = None, v: float = 1.0, rated: float = 1.0
+    R: float,
+    L: float,
+    *,
+    R0: float | None = None,
+    L0: float | None = None,
+    v: float = 1.0,
+    rated: float = 1.0,
+    phases: int = 3,
 ) -> PHDAE:
     """Mutually coupled series line between `a` and `b`:  flux' = v_a - v_b - R_abc i,  flux = L_abc i.
 
@@ -124,19 +117,21 @@ def coupled_line(
     ports:       a, b: voltages given, currents INTO the line out; a.i = i, b.i = -i
     parameters:  R, R0 [ohm], L, L0 [H]: positive and zero sequence; without R0 and L0 the phases are not coupled
     observables: i (3), the current from a to b
-    `v`: typical voltage [V];  `rated`: typical current [A].  ValueError for sequence values that are not positive.
+    `v`: typical voltage [V];  `rated`: typical current [A];  `phases`: 3, or 1, which has no zero sequence and scalars for (3).
+    ValueError for sequence values that are not positive, and for those of the zero sequence of one phase.
     Source: Kundur, Power System Stability and Control, 1994, section 6.1; Dommel, EMTP Theory Book, 1986, chapter 4.
     """
-    series = _series("coupled_line", R, L, R0, L0, rated)
+    series = _series("coupled_line", phases, R, L, R0, L0, rated)
+    p = series.phases
     return PHDAE(
         "coupled_line",
         states=(series.flux,),
         parameters=series.parameters,
         energies=(series.energy,),
         dissipation=(series.resistance,),
-        ports=_ends({"a": {series.flux: 1}, "b": {series.flux: -1}}, "effort", v),
-        observables=(_through(series.flux),),
-        description="mutually coupled three-phase series line",
+        ports=_ends(p, {"a": {series.flux: 1}, "b": {series.flux: -1}}, "effort", v),
+        observables=(_through(p, series.flux),),
+        description="mutually coupled three-phase series line" if p.count == 3 else "single-phase series line",
     )
 
 
@@ -150,6 +145,7 @@ def pi_line(
     C0: float | None = None,
     v: float = 1.0,
     rated: float = 1.0,
+    phases: int = 3,
 ) -> PHDAE:
     """Line with half of its charging at each end:  flux' = v_a - v_b - R_abc i,  q_a' = a.i - i,  q_b' = b.i + i.
 
@@ -161,28 +157,30 @@ def pi_line(
     parameters:  R, R0 [ohm], L, L0 [H], C, C0 [F] of the whole line: positive and zero sequence (as positive where not given)
     observables: i (3), the current from a to b
     Where charged ends meet at one bus their capacitors are one: use `coupled_line` and one `shunt` per bus there.
-    `v`: typical voltage [V];  `rated`: typical current [A].  ValueError for sequence values that are not positive.
+    `v`: typical voltage [V];  `rated`: typical current [A];  `phases`: 3, or 1, which has no zero sequence and scalars for (3).
+    ValueError for sequence values that are not positive, and for those of the zero sequence of one phase.
     Source: Kundur, Power System Stability and Control, 1994, section 6.1.
     """
-    C0 = C if C0 is None else C0
+    given, C0 = C0, C if C0 is None else C0
     require_sequences("pi_line", "C", "F", C, C0)
-    series = _series("pi_line", R, L, R0, L0, rated)
+    series = _series("pi_line", phases, R, L, R0, L0, rated, C0=given)
+    p = series.phases
     c = parameter("C", C, unit="F", positive=True, description="positive-sequence charging of the whole line")
     c0 = parameter("C0", C0, unit="F", positive=True, description="zero-sequence charging of the whole line")
     ends = [
-        state(f"q_{end}", 3, unit="C", nominal=C * v / 2, description=f"charge per phase of end {end}", elements=PHASES)
+        state(f"q_{end}", unit="C", nominal=C * v / 2, description=f"charge per phase of end {end}", **p.each)
         for end in "ab"
     ]
     return PHDAE(
         "pi_line",
         states=(series.flux, *ends),
-        parameters=(*series.parameters, c, c0),
-        energies=(series.energy, *(sequence_energy(q, c / 2, c0 / 2) for q in ends)),
+        parameters=(*series.parameters, c, *(() if p.count == 1 else (c0,))),
+        energies=(series.energy, *(p.energy(q, c / 2, c0 / 2) for q in ends)),
         structure=tuple(skew(series.flux, q, sign) for q, sign in zip(ends, (1, -1), strict=True)),
         dissipation=(series.resistance,),
-        ports=_ends({end: {q: 1} for end, q in zip("ab", ends, strict=True)}, "flow", rated),
-        observables=(_through(series.flux),),
-        description="three-phase line with charging at its ends",
+        ports=_ends(p, {end: {q: 1} for end, q in zip("ab", ends, strict=True)}, "flow", rated),
+        observables=(_through(p, series.flux),),
+        description=f"{p.word} line with charging at its ends",
     )
 
 
@@ -195,6 +193,7 @@ def series_compensated_line(
     L0: float | None = None,
     v: float = 1.0,
     rated: float = 1.0,
+    phases: int = 3,
 ) -> PHDAE:
     """Line with a capacitor in series in each phase:  flux' = v_a - v_b - R_abc i - charge/C,  charge' = i,  flux = L_abc i.
 
@@ -203,16 +202,16 @@ def series_compensated_line(
     ports:       a, b: voltages given, currents INTO the line out; a.i = i, b.i = -i
     parameters:  R, R0 [ohm], L, L0 [H]: positive and zero sequence;  C [F] per phase, in series
     observables: i (3), the current from a to b;  v_C (3), the voltage over the capacitors
-    `v`: typical voltage [V];  `rated`: typical current [A].  ValueError for values that are not positive.
+    `v`: typical voltage [V];  `rated`: typical current [A];  `phases`: 3, or 1, which has no zero sequence and scalars for (3).
+    ValueError for values that are not positive, and for those of the zero sequence of one phase.
     Source: IEEE Subsynchronous Resonance Task Force, first benchmark model, IEEE Trans. PAS-96 (1977).
     """
     if not C > 0:
         raise ValueError(f"series_compensated_line: C = {C:g} F must be positive; without a capacitor use coupled_line")
-    series = _series("series_compensated_line", R, L, R0, L0, rated)
+    series = _series("series_compensated_line", phases, R, L, R0, L0, rated)
+    p = series.phases
     c = parameter("C", C, unit="F", positive=True, description="capacitance in series per phase")
-    charge = state(
-        "charge", 3, unit="C", nominal=C * v, description="charge per phase of the capacitors", elements=PHASES
-    )
+    charge = state("charge", unit="C", nominal=C * v, description="charge per phase of the capacitors", **p.each)
     return PHDAE(
         "series_compensated_line",
         states=(series.flux, charge),
@@ -220,10 +219,10 @@ def series_compensated_line(
         energies=(series.energy, energy(ca.sumsqr(charge.sx) / (2 * c))),
         structure=(skew(series.flux, charge, -1),),
         dissipation=(series.resistance,),
-        ports=_ends({"a": {series.flux: 1}, "b": {series.flux: -1}}, "effort", v),
+        ports=_ends(p, {"a": {series.flux: 1}, "b": {series.flux: -1}}, "effort", v),
         observables=(
-            _through(series.flux),
-            observable("v_C", charge.z, unit="V", description="voltage over the capacitors", elements=PHASES),
+            _through(p, series.flux),
+            observable("v_C", charge.z, unit="V", description="voltage over the capacitors", elements=p.elements),
         ),
-        description="three-phase line with series capacitors",
+        description=f"{p.word} line with series capacitors",
     )

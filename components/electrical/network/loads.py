@@ -2,27 +2,35 @@
 
 from __future__ import annotations
 
-from math import cos, pi, sin, sqrt
+from math import pi
 from typing import Literal, TypeAlias
 
 import casadi as ca
 
 from phfmu import ELECTRICAL, PHDAE, Port, algebraic, damping, energy, observable, parameter, skew, state
-from phfmu.components.electrical.machines.machine_init import ALPHA
-from phfmu.components.electrical.machines.park import PHASES
+from phfmu.components.electrical.phases import Phases
 from phfmu.components.electrical.rlc_load import rlc_load
 
 Kind: TypeAlias = Literal["parallel", "series"]
 
 
-def load(P: float, Q: float = 0.0, *, V: float, f: float = 50.0, kind: Kind = "parallel", angle: float = 0.0) -> PHDAE:
+def load(
+    P: float,
+    Q: float = 0.0,
+    *,
+    V: float,
+    f: float = 50.0,
+    kind: Kind = "parallel",
+    angle: float = 0.0,
+    phases: int = 3,
+) -> PHDAE:
     """Constant impedance that takes P and Q at the nominal voltage, star-grounded; it begins in steady state there.
 
     parallel:  R = V^2/P,  L = V^2/(w Q),  or C = -Q/(w V^2) where Q < 0: an `rlc_load`, whose ports and parameters it has
     series:    R + j X = V^2 (P + j Q)/(P^2 + Q^2),  L = X/w,  or C = -1/(w X) where Q < 0: an `rlc_branch`
 
-    P [W], Q [var]: of all three phases, taken;  V [V], rms, line to line;  f [Hz];  w = 2 pi f
-    `angle` [rad]: of the voltage of phase a at the start
+    P [W], Q [var]: of all phases, taken;  V [V], rms, line to line, or to ground of one phase;  f [Hz];  w = 2 pi f
+    `angle` [rad]: of the voltage of phase a at the start;  `phases`: 3, or 1
     ValueError for P < 0 (a load does not deliver), for P = Q = 0, and for V or f that is not positive.
     """
     _require("load", V, f)
@@ -30,35 +38,44 @@ def load(P: float, Q: float = 0.0, *, V: float, f: float = 50.0, kind: Kind = "p
         raise ValueError(
             f"load: P = {P:g} W must not be negative, and one of P and Q = {Q:g} var not zero; what delivers is a source"
         )
-    w, peak = 2.0 * pi * f, V * sqrt(2.0 / 3.0)
+    p, w = Phases.of("load", phases), 2.0 * pi * f
+    peak = V * p.peak
     if kind == "parallel":
         L, C = (V**2 / (w * Q) if Q > 0 else None), (-Q / (w * V**2) if Q < 0 else None)
-        i = [0.0] * 3 if L is None else phases(peak / (1j * w * L), angle)
-        return rlc_load(V**2 / P if P else None, L, C, v=phases(peak, angle), i=i, nominal=peak)
+        i = 0.0 if L is None else p.values(peak / (1j * w * L), angle)
+        return rlc_load(V**2 / P if P else None, L, C, v=p.values(peak, angle), i=i, nominal=peak, phases=phases)
     if kind != "series":
         raise ValueError(f"load: kind = '{kind}' is neither 'parallel' nor 'series'")
     R, X = (V**2 * S / (P**2 + Q**2) for S in (P, Q))
     L, C = (X / w if X > 0 else None), (-1.0 / (w * X) if X < 0 else None)
-    return rlc_branch(R, L, C, f=f, v=peak, angle=angle)
+    return rlc_branch(R, L, C, f=f, v=peak, angle=angle, phases=phases)
 
 
-def shunt(Q: float, *, V: float, f: float = 50.0, angle: float = 0.0) -> PHDAE:
+def shunt(Q: float, *, V: float, f: float = 50.0, angle: float = 0.0, phases: int = 3) -> PHDAE:
     """Reactor (Q > 0) or capacitor (Q < 0) to ground that takes Q at the nominal voltage: a `load` without resistance.
 
-    Q [var]: of all three phases, taken;  V [V], rms, line to line;  f [Hz];  `angle` [rad] of phase a at the start
+    Q [var]: of all phases, taken;  V [V], rms, line to line, or to ground of one phase;  f [Hz];
+    `angle` [rad] of phase a at the start;  `phases`: 3, or 1
     """
-    return load(0.0, Q, V=V, f=f, angle=angle)
+    return load(0.0, Q, V=V, f=f, angle=angle, phases=phases)
 
 
 def capacitor_bank(
-    Q: float, *, V: float, f: float = 50.0, detuning: float = 0.0, quality: float = 50.0, angle: float = 0.0
+    Q: float,
+    *,
+    V: float,
+    f: float = 50.0,
+    detuning: float = 0.0,
+    quality: float = 50.0,
+    angle: float = 0.0,
+    phases: int = 3,
 ) -> PHDAE:
     """Capacitor bank that delivers Q at the nominal voltage, with reactors in series where it is detuned.
 
     C = Q (1 - p)/(w V^2),  L = p/(w^2 C),  R = w L/quality,  p = detuning = X_L/X_C: an `rlc_branch`; p = 0: a `shunt`
 
-    Q [var]: delivered, of all three phases;  V [V], rms, line to line;  f [Hz];  `detuning` [1];  `quality` [1];
-    `angle` [rad] of phase a at the start.  With p = 0.07 it resonates at f/sqrt(p) = 3.78 f.
+    Q [var]: delivered, of all phases;  V [V], rms, line to line, or to ground of one phase;  f [Hz];  `detuning` [1];
+    `quality` [1];  `angle` [rad] of phase a at the start;  `phases`: 3, or 1.  With p = 0.07 it resonates at f/sqrt(p) = 3.78 f.
     ValueError for Q that is not positive and p outside [0, 1).
     """
     _require("capacitor_bank", V, f)
@@ -68,15 +85,23 @@ def capacitor_bank(
             "for a reactor use shunt"
         )
     if not detuning:
-        return shunt(-Q, V=V, f=f, angle=angle)
+        return shunt(-Q, V=V, f=f, angle=angle, phases=phases)
     w = 2.0 * pi * f
     C = Q * (1.0 - detuning) / (w * V**2)
     L = detuning / (w**2 * C)
-    return rlc_branch(w * L / quality, L, C, f=f, v=V * sqrt(2.0 / 3.0), angle=angle)
+    peak = V * Phases.of("capacitor_bank", phases).peak
+    return rlc_branch(w * L / quality, L, C, f=f, v=peak, angle=angle, phases=phases)
 
 
 def rlc_branch(
-    R: float, L: float | None = None, C: float | None = None, *, f: float = 50.0, v: float = 1.0, angle: float = 0.0
+    R: float,
+    L: float | None = None,
+    C: float | None = None,
+    *,
+    f: float = 50.0,
+    v: float = 1.0,
+    angle: float = 0.0,
+    phases: int = 3,
 ) -> PHDAE:
     """R, L and C in series from each phase to ground, L and C optional:  flux' = terminal.v - R i - charge/C,  charge' = i.
 
@@ -87,7 +112,8 @@ def rlc_branch(
     ports:       terminal: voltage given, current INTO the branch out
     parameters:  R [ohm], L [H], C [F] per phase, of what is there
     observables: i (3), the current to ground;  v_C (3), the voltage over C
-    `v`: peak phase voltage [V] of the steady state at `f` [Hz] in which it begins, `angle` [rad] that of phase a.
+    `v`: peak phase voltage [V] of the steady state at `f` [Hz] in which it begins, `angle` [rad] that of phase a;
+    `phases`: 3, or 1 with scalars for (3).
     ValueError for values that are not positive, and for R = 0 without L.
     """
     if not R >= 0 or not all(x is None or x > 0 for x in (L, C)) or not (R or L):
@@ -95,30 +121,30 @@ def rlc_branch(
             f"rlc_branch: R = {R:g} ohm must not be negative, L = {L} H and C = {C} F must be positive or left out, and "
             "R = 0 needs an L; a capacitor alone is rlc_load"
         )
-    w = 2.0 * pi * f
+    p, w = Phases.of("rlc_branch", phases), 2.0 * pi * f
     Z = R + 1j * w * (L or 0.0) + (1.0 / (1j * w * C) if C else 0.0)
     i = v / Z
     resistance = parameter("R", R, unit="ohm", description="resistance per phase")
     states, parameters, energies, told = [], [resistance], [], []
     if L is not None:
         inductance = parameter("L", L, unit="H", positive=True, description="inductance per phase")
-        on = state("flux", 3, unit="Wb", start=phases(L * i, angle), nominal=L * abs(i), description="flux per phase",
-                   elements=PHASES)  # fmt: skip
+        on = state("flux", unit="Wb", start=p.values(L * i, angle), nominal=L * abs(i), description="flux per phase",
+                   **p.each)  # fmt: skip
         states.append(on)
         parameters.append(inductance)
         energies.append(energy(ca.sumsqr(on.sx) / (2 * inductance)))
-        told.append(observable("i", on.z, unit="A", description="current to ground", elements=PHASES))
+        told.append(observable("i", on.z, unit="A", description="current to ground", elements=p.elements))
     else:
-        on = algebraic("i", 3, unit="A", nominal=abs(i), description="current to ground", elements=PHASES)
+        on = algebraic("i", unit="A", nominal=abs(i), description="current to ground", **p.each)
     between = ()
     if C is not None:
         capacitance = parameter("C", C, unit="F", positive=True, description="capacitance per phase")
-        charge = state("charge", 3, unit="C", start=phases(i / (1j * w), angle), nominal=abs(i) / w,
-                       description="charge per phase", elements=PHASES)  # fmt: skip
+        charge = state("charge", unit="C", start=p.values(i / (1j * w), angle), nominal=abs(i) / w,
+                       description="charge per phase", **p.each)  # fmt: skip
         states.append(charge)
         parameters.append(capacitance)
         energies.append(energy(ca.sumsqr(charge.sx) / (2 * capacitance)))
-        told.append(observable("v_C", charge.z, unit="V", description="voltage over C", elements=PHASES))
+        told.append(observable("v_C", charge.z, unit="V", description="voltage over C", elements=p.elements))
         between = (skew(charge, on, 1),)
     return PHDAE(
         "rlc_branch",
@@ -134,20 +160,14 @@ def rlc_branch(
                 ELECTRICAL,
                 "effort",
                 {on: 1},
-                size=3,
                 nominal=v,
                 description="phases to ground; current into the branch",
-                elements=PHASES,
+                **p.each,
             ),
         ),
         observables=tuple(told),
-        description="three-phase series R-L-C to ground",
+        description=f"{p.word} series R-L-C to ground",
     )
-
-
-def phases(phasor: complex, angle: float = 0.0) -> list[float]:
-    """Values at t = 0 of phases a, b, c with the peak `phasor` of phase a, turned by `angle` [rad]."""
-    return [phasor.real * cos(angle - a) - phasor.imag * sin(angle - a) for a in ALPHA]
 
 
 def _require(part: str, V: float, f: float) -> None:

@@ -47,19 +47,26 @@ class MagnetisationCurve:
 
     def energy(self, flux: Any) -> ca.SX:
         """H(flux), a scalar expression, 0 at 0."""
-        every = [(0.0, 0.0), *self.points]
-        slopes = [(i1 - i) / (f1 - f) for (f, i), (f1, i1) in pairwise(every)]
-        w = self.rounding * min(f1 - f for (f, _), (f1, _) in pairwise(every))
-        stored = slopes[0] * flux**2 / 2
-        for (corner, _), (before, after) in zip(self.points, pairwise(slopes), strict=False):
+        first, corners, w = self._corners
+        stored = first * flux**2 / 2
+        for corner, more in corners:
             rise = sum(_rounded(sign * flux - corner, w) for sign in (1, -1)) - 2 * _rounded(ca.SX(-corner), w)
-            stored += (after - before) * rise
+            stored += more * rise
         return stored
 
-    def current(self, flux: float) -> float:
-        """i(flux)."""
-        f = ca.SX.sym("f")
-        return float(ca.Function("i", [f], [ca.gradient(self.energy(f), f)])(flux))
+    def current(self, flux: Any) -> Any:
+        """i(flux), of a number or an expression."""
+        first, corners, w = self._corners
+        s = lambda x: (x + ca.sqrt(x**2 + w**2)) / 2  # noqa: E731
+        return first * flux + sum(more * (s(flux - corner) - s(-flux - corner)) for corner, more in corners)
+
+    @property
+    def _corners(self) -> tuple[float, list[tuple[float, float]], float]:
+        """g_0, the flux of each corner with the slope that it adds, and w."""
+        every = [(0.0, 0.0), *self.points]
+        slopes = [(i1 - i) / (f1 - f) for (f, i), (f1, i1) in pairwise(every)]
+        added = [(f, after - before) for (f, _), (before, after) in zip(self.points, pairwise(slopes), strict=False)]
+        return slopes[0], added, self.rounding * min(f1 - f for (f, _), (f1, _) in pairwise(every))
 
 
 def _rounded(x: Any, w: float) -> Any:

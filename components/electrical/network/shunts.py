@@ -8,13 +8,13 @@ import casadi as ca
 import numpy as np
 
 from phfmu import ELECTRICAL, PHDAE, Event, Port, block, damping, parameter
-from phfmu.components.electrical.machines.park import PHASES
+from phfmu.components.electrical.phases import PHASES, Phases
 
 #: turns balanced voltages forwards by 90 degrees
 QUARTER = np.array([[0.0, -1.0, 1.0], [1.0, 0.0, -1.0], [-1.0, 1.0, 0.0]]) / sqrt(3.0)
 
 
-def fault(kind: str = "abcg", R: float = 0.05, *, Rg: float = 0.0, nominal: float = 1.0) -> PHDAE:
+def fault(kind: str | None = None, R: float = 0.05, *, Rg: float = 0.0, nominal: float = 1.0, phases: int = 3) -> PHDAE:
     """Fault of any kind, of resistances that an event switches:  i = on Y v,  Y = D - D 1 1^T D/(1^T D 1 + 1/Rg).
 
     D has 1/R of the faulted phases on its diagonal: each has R to the point of the fault, which has Rg to ground with `g` in
@@ -24,9 +24,14 @@ def fault(kind: str = "abcg", R: float = 0.05, *, Rg: float = 0.0, nominal: floa
     H:  0;  R: on Y on the port (feedthrough)
     ports:       terminal: voltages given, currents INTO the fault out
     parameters:  on: 0 no fault, 1 the fault;  R, Rg [ohm], Rg where it is given
-    `kind`: faulted phases, and g: abcg, abc, ab, bc, ca, abg, bcg, cag, ag, bg, cg;  R, Rg [ohm];  `nominal`: voltage [V]
+    `kind`: faulted phases, and g: abcg (the default), abc, ab, bc, ca, abg, bcg, cag, ag, bg, cg, with one phase ag;
+    R, Rg [ohm];  `nominal`: voltage [V];  `phases`: 3, or 1 with scalars.
     ValueError for another kind, R <= 0, Rg < 0, an Rg without g.
     """
+    p = Phases.of("fault", phases)
+    kind = kind or ("abcg" if p.count == 3 else "ag")
+    if p.count == 1 and kind != "ag":
+        raise ValueError(f"fault: kind '{kind}' with one phase, whose only fault is that to ground, ag")
     hit, ground = kind.removesuffix("g"), kind.endswith("g")
     kinds = ("a", "b", "c", "ab", "bc", "ca", "abc")
     if hit not in kinds or (len(hit) == 1 and not ground):
@@ -46,13 +51,11 @@ def fault(kind: str = "abcg", R: float = 0.05, *, Rg: float = 0.0, nominal: floa
         else None
     )
     on = parameter("on", 0.0, min=0.0, max=1.0, description="0 no fault, 1 the fault")
-    g = ca.DM([p in hit for p in "abc"]) / resistance.sx
+    g = ca.DM([phase in hit for phase in "abc"[: p.count]]) / resistance.sx
     Y = ca.diag(g)
     if to_ground is not None or not ground:
         Y = Y - g @ g.T / (ca.sum1(g) + (0 if to_ground is None else 1 / to_ground))
-    terminal = Port(
-        "terminal", ELECTRICAL, "effort", {}, size=3, nominal=nominal, description="into the fault", elements=PHASES
-    )
+    terminal = Port("terminal", ELECTRICAL, "effort", {}, nominal=nominal, description="into the fault", **p.each)
     return PHDAE(
         "fault",
         parameters=(on, resistance, *(() if to_ground is None else (to_ground,))),

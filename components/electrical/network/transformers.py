@@ -1,4 +1,4 @@
-"""Three-phase transformers of two windings: vector group, leakage, tap, magnetising branch."""
+"""Transformers of two windings, of three phases or one: vector group, leakage, tap, magnetising branch."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import casadi as ca
 import numpy as np
 
 from phfmu import ELECTRICAL, PHDAE, Port, block, damping, energy, observable, parameter, state
-from phfmu.components.electrical.machines.park import PHASES
 from phfmu.components.electrical.network.saturation import MagnetisationCurve
+from phfmu.components.electrical.phases import Phases
 
 #: what the phases of a side put on the limbs: each with ground, each with a neutral that floats, between two phases
 GROUNDED = np.eye(3)
@@ -26,8 +26,11 @@ def limbs(group: str) -> tuple[np.ndarray, np.ndarray]:
 
     A star beside one whose neutral floats has no zero sequence either: its mmf would find no counterpart.
     The hour counts from side a to side b: at hour 11 the voltages of b lead by 30 degrees, at 1 they lag.
-    ValueError for a group that there is not, such as an odd hour between two stars.
+    Ii0 and Ii6 are those of one phase (1 x 1 each).  ValueError for a group that there is not, such as an odd hour between two
+    stars.
     """
+    if group in ("Ii0", "Ii6"):
+        return np.array([[1.0 if group == "Ii0" else -1.0]]), np.eye(1)
     sides = group.rstrip("0123456789")
     hour = group[len(sides) :]
     a = next((s for s in ("YN", "Y", "D") if sides.startswith(s)), "")
@@ -46,7 +49,7 @@ def limbs(group: str) -> tuple[np.ndarray, np.ndarray]:
             return sign * left, right
     raise ValueError(
         f"two_winding_transformer: no vector group '{group}'; give YN, Y or D, then yn, y or d, then the hour: 0 or 6 between "
-        "equal kinds, 1, 5, 7 or 11 between a star and a delta, such as YNyn0, Dyn1, Dyn11, YNd11"
+        "equal kinds, 1, 5, 7 or 11 between a star and a delta, such as YNyn0, Dyn1, Dyn11, YNd11; with one phase Ii0 or Ii6"
     )
 
 
@@ -58,12 +61,13 @@ def two_winding_transformer(
     f: float = 50.0,
     r: float = 0.0,
     x: float = 0.1,
-    group: str = "YNyn0",
+    group: str | None = None,
     tap: float = 1.0,
     i0: float | None = None,
     p0: float = 0.0,
     curve: MagnetisationCurve | None = None,
-    linkage0: Sequence[float] = (0.0, 0.0, 0.0),
+    linkage0: float | Sequence[float] = 0.0,
+    phases: int = 3,
 ) -> PHDAE:
     """Transformer with its leakage on side b:  flux' = W_a v_a/(tap n) - W_b v_b - R i,  i = flux/L,  n = Va/Vb.
 
@@ -78,8 +82,10 @@ def two_winding_transformer(
     ports:       a, b: voltages given, currents INTO the transformer out
     parameters:  R [ohm], L [H] of the leakage, L_m [H] and G_m [S] of the core, as seen from side b;  ratio n, tap [1]
     observables: i (3), the current through the limbs, counted from a to b;  i_m (3), that of the core with i0
-    Sn [VA];  Va, Vb [V]: rated, rms, line to line;  f [Hz];  r, x, i0, p0 [1]: series resistance, leakage, no-load
-    current and no-load loss in per unit of Sn, Vb;  `tap`: turns of side a as a part of the rated ones, tunable.
+    Sn [VA], of all phases;  Va, Vb [V]: rated, rms, line to line, or of the windings of one phase;  f [Hz];  r, x, i0, p0 [1]:
+    series resistance, leakage, no-load current and no-load loss in per unit of Sn, Vb;  `tap`: turns of side a as a part of the
+    rated ones, tunable.
+    `phases`: 3, or 1 with scalars for (3);  `group`: the vector group, YNyn0 where it is not given, with one phase Ii0 (or Ii6).
     Where a neutral floats (Y or y) no zero sequence flows on either side.  A delta grounds that of yn or YN over the leakage.
     ValueError for ratings that are not positive, x = 0, and a no-load loss that the no-load current cannot bring.
     Source: IEC 60076-1 (vector groups); Kundur, Power System Stability and Control, 1994, section 6.2.
@@ -99,17 +105,30 @@ def two_winding_transformer(
         raise ValueError(
             f"two_winding_transformer: a no-load loss p0 = {p0:g} needs a no-load current above it, i0 = {i0}; both in per unit"
         )
+    p = Phases.of("two_winding_transformer", phases)
+    group = group or ("YNyn0" if p.count == 3 else "Ii0")
     left, right = (ca.DM(w) for w in limbs(group))
+    if left.shape[0] != p.count:
+        raise ValueError(
+            f"two_winding_transformer: vector group '{group}' with phases = {phases}; Ii0 and Ii6 have one, all others 3"
+        )
     Z, w = Vb**2 / Sn, 2.0 * pi * f
-    peak, rated = Vb * sqrt(2.0 / 3.0), sqrt(2.0 / 3.0) * Sn / Vb
+    peak, rated = Vb * p.peak, p.peak * Sn / Vb
     resistance = parameter("R", r * Z, unit="ohm", description="resistance per limb, seen from side b")
     leakage = parameter("L", x * Z / w, unit="H", positive=True, description="leakage per limb, seen from side b")
     ratio = parameter("ratio", Va / Vb, unit="1", positive=True, description="rated ratio Va / Vb")
     position = parameter("tap", tap, unit="1", positive=True, description="turns of side a, relative to the rated ones")
     seen = left / (ratio * position)
-    flux = state(
-        "flux", 3, unit="Wb", nominal=x * Z / w * rated, description="leakage flux of the limbs", elements=PHASES
+    flux = state("flux", unit="Wb", nominal=x * Z / w * rated, description="leakage flux of the limbs", **p.each)
+    linkage = state(
+        "linkage",
+        unit="Wb",
+        start=p.start(peak / w, linkage0),
+        nominal=peak / w,
+        description="flux linkage of the core",
+        **p.each,
     )
+    told = observable("i_m", linkage.z, unit="A", description="magnetising current", elements=p.elements)
     on: dict[Any, Any] = {flux: seen}
     more: dict[str, tuple[Any, ...]] = {"states": (), "parameters": (), "energies": (), "told": ()}
     if i0 is not None:
@@ -120,55 +139,33 @@ def two_winding_transformer(
         magnetising = parameter(
             "L_m", Z / sqrt(i0**2 - p0**2) / w, unit="H", positive=True, description="inductance of the core"
         )
-        linkage = state(
-            "linkage",
-            3,
-            unit="Wb",
-            start=[peak / w * part for part in linkage0],
-            nominal=peak / w,
-            description="flux linkage of the core",
-            elements=PHASES,
-        )
         on[linkage] = seen
-        told = observable("i_m", linkage.z, unit="A", description="magnetising current", elements=PHASES)
         more = {
             "states": (linkage,), "parameters": (magnetising,), "told": (told,),
             "energies": (energy(ca.sumsqr(linkage.sx) / (2 * magnetising)),),
         }  # fmt: skip
     if curve is not None:
-        linkage = state(
-            "linkage",
-            3,
-            unit="Wb",
-            start=[peak / w * part for part in linkage0],
-            nominal=peak / w,
-            description="flux linkage of the core",
-            elements=PHASES,
-        )
         on[linkage] = seen
         iron = curve.scaled(peak / w, rated)
-        told = observable("i_m", linkage.z, unit="A", description="magnetising current", elements=PHASES)
-        parts = tuple(energy(iron.energy(linkage.sx[k])) for k in range(3))
+        parts = tuple(energy(iron.energy(part)) for part in ca.vertsplit(linkage.sx))
         more = {"states": (linkage,), "parameters": (), "told": (told,), "energies": parts}
     a = Port(
         "a",
         ELECTRICAL,
         "effort",
         on,
-        size=3,
-        nominal=Va * sqrt(2.0 / 3.0),
+        nominal=Va * p.peak,
         description="side a; current into the transformer",
-        elements=PHASES,
+        **p.each,
     )
     b = Port(
         "b",
         ELECTRICAL,
         "effort",
         {flux: -right},
-        size=3,
         nominal=peak,
         description="side b; current into the transformer",
-        elements=PHASES,
+        **p.each,
     )
     lost = (damping(flux, resistance),)
     if p0:
@@ -183,8 +180,8 @@ def two_winding_transformer(
         dissipation=lost,
         ports=(a, b),
         observables=(
-            observable("i", flux.z, unit="A", description="current through the limbs, a to b", elements=PHASES),
+            observable("i", flux.z, unit="A", description="current through the limbs, a to b", elements=p.elements),
             *more["told"],
         ),
-        description=f"three-phase transformer {group} with leakage",
+        description=f"{p.word} transformer {group} with leakage",
     )
