@@ -38,8 +38,8 @@ def gas_cylinder(
     J, R:  0.  Heat is a power at a port and no loss: a reservoir of temperature T_i gives the entropy g_i (T_i - T)/T_i, the gas
         receives g_i (T_i - T)/T, which is not less, and T_i times what is given is the heat, so that the ledger has it exactly
     states:      h [m]; S [J/K], 0 of the gas at p_0 and T_0 in h_1
-    ports:       piston: velocity that makes h smaller given, force on the gas out;  hot, cold: walls, fed with T_fire and T_exhaust
-                 from inside, entropy flow into the gas's walls out, its work is the heat
+    ports:       piston: velocity towards the gas given, force on the gas out;  hot, cold: walls, fed with T_fire and T_exhaust
+                 from inside, entropy flow from the reservoir out; what they supply is heat
     parameters:  bore_area [m2], p_0 [Pa], T_0 [K], kappa [1], h_0, h_1 [m], fire, exhaust [W/K], T_fire, T_exhaust [K]
     observables: p [Pa], T [K], V [m3], heat [W] of both walls
 
@@ -75,7 +75,15 @@ def gas_cylinder(
     T = S.z
     conductances = {"hot": (gh * (h0 / h.sx) ** FIRE, Th), "cold": (gc * (h.sx / h1) ** EXHAUST, Tc)}
     walls = tuple(
-        Port(name, THERMAL, "effort", {S: g * (Ti - T) / (T * Ti)}, source=Ti.sx, nominal=1000.0, description=f"{name} wall")
+        Port(
+            name,
+            THERMAL,
+            "effort",
+            {S: g * (Ti - T) / (T * Ti)},
+            source=Ti.sx,
+            nominal=1000.0,
+            description=f"{name} wall",
+        )
         for name, (g, Ti) in conductances.items()
     )
     heat = sum(g * (Ti - T) for g, Ti in conductances.values())

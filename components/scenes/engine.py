@@ -22,7 +22,7 @@ CRANK, ROD, MASSES, RATIO, ANGLE = 0.07, 0.25, (6.0, 2.0, 1.5), 9.0, -pi / 2.0
 SHAFT = (3e3, 8.0)
 
 
-def engine(T_fire: float = 2200.0, *, t_load: float = 0.5, relief: float = 2.0, stop: float = 1.0) -> Scene:
+def engine(T_fire: float = 2100.0, *, t_load: float = 0.5, relief: float = 2.0, stop: float = 1.0) -> Scene:
     """One cylinder, crank, flywheel, shaft, machine of 30 kVA, line and load; half of the load is thrown off at 0.5 s.
 
     Arguments: T_fire [K], temperature of the fire; t_load [s], when the resistance of the load becomes `relief` [1] times its
@@ -35,7 +35,7 @@ def engine(T_fire: float = 2200.0, *, t_load: float = 0.5, relief: float = 2.0, 
     of a cycle hardly, so that it comes to rest where both meet.  One ledger has the heat at gas.hot and gas.cold, the work at
     every joint, and what bearings, shafts, windings, line and load lose.
     """
-    data, load, line = _machine(), 0.6 - 0.2j, 0.02 + 0.1j  # admittance and impedance in per unit
+    data, load, line = generator_data(), 0.6 - 0.2j, 0.02 + 0.1j  # admittance and impedance in per unit
     w, Z, speed = data.omega, data.Vn_rms_ll**2 / data.Sn, data.omega / data.pole_pairs
     v = data.Vn_rms_ll * sqrt(2.0 / 3.0)
     current = v * load / Z
@@ -66,7 +66,7 @@ def engine(T_fire: float = 2200.0, *, t_load: float = 0.5, relief: float = 2.0, 
     return Scene("engine", net, stop=stop, step=1e-4, events=events, description=net.description)
 
 
-def _machine() -> MachineData:
+def generator_data() -> MachineData:
     """Numbers of this library, as salient machines of this size have them."""
     return from_per_unit(
         "genset30", "GENSAL", Sn=30e3, Vn_rms_ll=400.0, fn=50.0, J=0.5, pole_pairs=2, no_load_field_current=2.0, ra=0.03,
