@@ -30,17 +30,18 @@ def gas_cylinder(
 ) -> PHDAE:
     """Gas of the entropy S above a piston, at the height h of its column: an engine without valves or flames of its own.
 
-        h' = -v,   S' = sum_i g_i(h) (T_i - T)/T,   T = dH/dS,   p = kappa' U/(A h),   kappa' = kappa - 1
+        h' = -v,   S' = sum_i g_i(h) (T_i - T)/T,   T = dH/dS = U/C,   p A h = R T
         g_fire = fire (h_0/h)^4,   g_exhaust = exhaust (h/h_1)^8,   h_0 = stroke/(ratio - 1) and h_1 = h_0 + stroke its ends
 
-    H:  U(S, h) + p_0 A h,   U = C T_0 (h_1/h)^(kappa - 1) exp(S/C),   C = p_0 A h_1/((kappa - 1) T_0): convex; with S kept
-        it is the adiabatic p V^kappa = const.  p_0: pressure of the air behind the piston
+    H:  U(S, h) + p_0 A h,   U = C T_0 (h_1/h)^(R/C) exp(S/C): convex; with S kept it is the adiabatic p V^kappa = const with
+        kappa = 1 + R/C.  p_0: pressure of the air behind the piston, at which the gas begins
     J, R:  0.  Heat is a power at a port and no loss: a reservoir of temperature T_i gives the entropy g_i (T_i - T)/T_i, the gas
         receives g_i (T_i - T)/T, which is not less, and T_i times what is given is the heat, so that the ledger has it exactly
     states:      h [m]; S [J/K], 0 of the gas at p_0 and T_0 in h_1
     ports:       piston: velocity towards the gas given, force on the gas out;  hot, cold: walls, fed with T_fire and T_exhaust
                  from inside, entropy flow from the reservoir out; what they supply is heat
-    parameters:  bore_area [m2], p_0 [Pa], T_0 [K], kappa [1], h_0, h_1 [m], fire, exhaust [W/K], T_fire, T_exhaust [K]
+    parameters:  bore_area [m2], p_0 [Pa], T_0 [K], R (amount times gas constant), C (heat capacity at constant volume) [J/K],
+                 h_0, h_1 [m], fire, exhaust [W/K], T_fire, T_exhaust [K]
     observables: p [Pa], T [K], V [m3], heat [W] of both walls
 
     bore, stroke [m];  ratio [1]: of the largest and the smallest volume;  height [m]: h at the start, default h_1
@@ -57,21 +58,22 @@ def gas_cylinder(
         raise ValueError(f"gas_cylinder: {'; '.join(wrong) or f'height = {height} m'}: lengths, pressure and temperature are "
                          "positive, ratio and kappa above 1")  # fmt: skip
     low, high = stroke / (ratio - 1.0), stroke * ratio / (ratio - 1.0)
-    size = pressure * pi * bore**2 / 4 * high / ((kappa - 1.0) * temperature)
+    amount = pressure * pi * bore**2 / 4 * high / temperature
+    size = amount / (kappa - 1.0)
     h = state("h", unit="m", start=start, nominal=high, description="height of the gas")
     S = state("S", unit="J/K", start=0.0, nominal=size, description="entropy of the gas")
     A = parameter("bore_area", pi * bore**2 / 4, unit="m2", positive=True, description="area of the piston")
     p0 = parameter("p_0", pressure, unit="Pa", positive=True, description="pressure behind the piston")
     T0 = parameter("T_0", temperature, unit="K", positive=True, description="temperature of the gas at h_1, S = 0")
-    k = parameter("kappa", kappa, unit="1", min=1.0, description="ratio of heat capacities")
+    R = parameter("R", amount, unit="J/K", positive=True, description="amount of gas times the gas constant")
+    C = parameter("C", size, unit="J/K", positive=True, description="heat capacity of the gas at constant volume")
     h0 = parameter("h_0", low, unit="m", positive=True, description="height at the top of the stroke")
     h1 = parameter("h_1", high, unit="m", positive=True, description="height at the bottom of the stroke")
     gh = parameter("fire", fire, unit="W/K", min=0.0, description="conductance of the hot wall at h_0")
     gc = parameter("exhaust", exhaust, unit="W/K", min=0.0, description="conductance of the cold wall at h_1")
     Th = parameter("T_fire", T_fire, unit="K", positive=True, description="temperature of the hot wall")
     Tc = parameter("T_exhaust", T_exhaust, unit="K", positive=True, description="temperature of the cold wall")
-    C = p0 * A * h1 / ((k - 1) * T0)
-    U: ca.SX = C * T0 * (h1 / h.sx) ** (k - 1) * ca.exp(S.sx / C)
+    U: ca.SX = C * T0 * (h1 / h.sx) ** (R / C) * ca.exp(S.sx / C)
     T = S.z
     conductances = {"hot": (gh * (h0 / h.sx) ** FIRE, Th), "cold": (gc * (h.sx / h1) ** EXHAUST, Tc)}
     walls = tuple(
@@ -90,11 +92,11 @@ def gas_cylinder(
     return PHDAE(
         "gas_cylinder",
         states=(h, S),
-        parameters=(A, p0, T0, k, h0, h1, gh, gc, Th, Tc),
+        parameters=(A, p0, T0, R, C, h0, h1, gh, gc, Th, Tc),
         energies=(energy(U), energy(p0 * A * h.sx)),
         ports=(Port("piston", TRANSLATIONAL, "flow", {h: -1.0}, description="piston; towards the gas"), *walls),
         observables=(
-            observable("p", (k - 1) * U / (A * h.sx), unit="Pa", description="pressure"),
+            observable("p", R / C * U / (A * h.sx), unit="Pa", description="pressure"),
             observable("T", U / C, unit="K", description="temperature"),
             observable("V", A * h.sx, unit="m3", description="volume"),
             observable("heat", heat, unit="W", description="from both walls"),

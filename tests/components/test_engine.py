@@ -71,13 +71,14 @@ class Peer:
         self.machine = PhaseMachine(self.data, self.line["R"], self.line["L"])
         self.Vf = port_start("gen", "field")
         g = self.gas
-        self.C = g["p_0"] * g["bore_area"] * g["h_1"] / ((g["kappa"] - 1) * g["T_0"])
+        self.nR = g["p_0"] * g["bore_area"] * g["h_1"] / g["T_0"]
+        self.C = self.nR / 0.4
         self.top = CRANK + ROD + 2 * CRANK / (RATIO - 1)
 
     def gas_at(self, T: float, h: float, dh: float) -> tuple[float, float, float, float]:
         """Force of the gas on the piston beyond that of the air behind it, T', heat of both walls: C T' = heat - p V'."""
         g = self.gas
-        push = (g["kappa"] - 1) * self.C * T / h
+        push = self.nR * T / h
         hot = g["fire"] * (g["h_0"] / h) ** 4 * (g["T_fire"] - T)
         cold = g["exhaust"] * (h / g["h_1"]) ** 8 * (g["T_exhaust"] - T)
         return push - g["p_0"] * g["bore_area"], (hot + cold - push * dh) / self.C, hot, cold
