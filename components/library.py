@@ -74,6 +74,7 @@ LIBRARY: dict[str, tuple[str, str, str]] = {
     "bricard": ("component", _B + "bricard", "five rods, six hinges, one equation too many"),
     "flyball": ("component", _B + "flyball", "governor with stiff springs and dampers"),
     "slider_crank": ("component", _B + "slider_crank", "crank, rod and piston with motor ports"),
+    "ur5": ("component", _B + "ur5", "robot arm: six links, six motor ports"),
     "car_axis": ("component", _B + "car_axis", "two bodies on stiff springs over a wavy road"),
     "rope_bridge": ("component", _B + "rope_bridge", "planks between two ropes"),
     "gear_train": ("component", _B + "gear_train", "wheels in mesh and a rack that lift a load"),
@@ -124,6 +125,7 @@ LIBRARY: dict[str, tuple[str, str, str]] = {
     "bead": ("scene", _S + "bead", "bead on a cylinder that it leaves where its force is zero"),
     "oscillator": ("scene", _S + "oscillator", "two masses and three springs, cut in three"),
     "drive": ("scene", _S + "drive", "DC motor, flexible shaft and load inertia"),
+    "robot_arm": ("scene", _S + "robot_arm", "robot arm UR5 that its motors carry, move and stop"),
     "speed_control": ("scene", _S + "speed_control", "rotor with PI speed control by signals, load step"),
     "smib": ("scene", _S + "smib", "turbo generator at an infinite bus, torque step"),
     "smib_hydro": ("scene", _S + "smib", "hydro generator at an infinite bus, torque step"),
@@ -201,6 +203,7 @@ RUNS: dict[str, tuple[float, float]] = {
     "flyball": (10.0, 0.01),
     "car_axis": (3.0, 1e-3),
     "rope_bridge": (5.0, 0.005),
+    "ur5": (1.0, 2e-3),
     "gear_train": (0.5, 1e-3),
     "box_on_floor": (3.0, 0.002),
 }
