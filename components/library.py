@@ -204,6 +204,7 @@ RUNS: dict[str, tuple[float, float]] = {
     "car_axis": (3.0, 1e-3),
     "rope_bridge": (5.0, 0.005),
     "ur5": (1.0, 2e-3),
+    "gas_cylinder": (0.1, 1e-3),
     "gear_train": (0.5, 1e-3),
     "box_on_floor": (3.0, 0.002),
 }

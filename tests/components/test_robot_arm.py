@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-import re
+import sys
 from functools import cache
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 
-from phfmu import Monolithic, NativeInstance, Options, PythonInstance, build_model, default_scheme, export, open_result, run
+from phfmu import Monolithic, NativeInstance, Options, PythonInstance, build_model, default_scheme, open_result, run
 from phfmu.cli import main
 from phfmu.components.mechanical.mechanisms.ur5 import FLANGE, JOINTS, LINKS, ur5
 from phfmu.components.scenes.robot_arm import robot_arm
-from phfmu.fmu.importer.reader import FMUInstance
-from tests.wide import slow, wide
+from tests.wide import wide
 
 NAMES = [name for name, *_ in JOINTS]
 POSE, SPEEDS = (0.3, -1.2, 1.0, -0.8, -1.2, 0.4), (1.0, -0.5, 1.5, 2.0, -1.0, 3.0)
@@ -109,7 +108,10 @@ def test_units_book_the_same_works(version: int, order: int, tmp_path: Path) -> 
     """Bit for bit the native run."""
     given = [f"--set={n}.torque={t}" for n, t in zip(NAMES, TORQUES, strict=True)]
     pose = f"ur5(pose={POSE}, speeds={SPEEDS}, damping={DAMPING})"
-    assert main(["export", pose, "--step", "2.5e-3", "--order", str(order), "--fmi", str(version), "-o", str(tmp_path)]) == 0
+    assert (
+        main(["export", pose, "--step", "2.5e-3", "--order", str(order), "--fmi", str(version), "-o", str(tmp_path)])
+        == 0
+    )
     unit, file = next(tmp_path.glob("*.fmu")), str(tmp_path / "unit.csv")
     assert main(["run", str(unit), *given, "--stop", str(STOP), "--step", "2.5e-3", "--quiet", "-o", file]) == 0
     own, found = simulated(falling(), order, 2.5e-3), open_result(file)
@@ -132,7 +134,7 @@ def test_the_scene_ten_times_as_long(order: int) -> None:
     scene = robot_arm()
     model = build_model(scene.declaration(), default_scheme(scene.declaration(), order))
     r = run(Monolithic(model, NativeInstance(model)), Options(stop=10.0, step=scene.step, events=scene.events))
-    s = r.ledger.summary()
+    s: Any = r.ledger.summary()
     assert s.closed and abs(s.network.unexplained) < 1e-12 * (np.abs(booked(r)).sum() + s.network.dissipated)
 
 
@@ -141,10 +143,23 @@ def test_a_pose_of_another_length_is_refused() -> None:
         ur5((0.1, 0.2))
 
 
-@pytest.mark.skipif(find_spec("cmeel") is None and find_spec("example_robot_data") is None, reason="example-robot-data is missing")
 def test_the_table_is_that_of_the_file() -> None:
-    import sys
+    where = "cmeel.prefix/share/example-robot-data/robots/ur_description/urdf/ur5_robot.urdf"
+    found = [file for folder in sys.path if (file := Path(folder) / where).is_file()]
+    if not found:
+        pytest.skip("ur5_robot.urdf of example-robot-data is missing")
+    robot = ElementTree.parse(found[0]).getroot()
 
-    files = [f for p in sys.path for f in Path(p).glob("cmeel.prefix/share/example-robot-data/robots/ur_description/urdf/ur5_robot.urdf")]
-    if not files:
-        pytest.skip("ur5_robot.urdf is missing")
+    def numbers(element: Any, *names: str) -> list[float]:
+        return [float(x) for name in names for x in element.get(name).split()]
+
+    for (link, mass, z, moments), (joint, at, pitch, axis) in zip(LINKS, JOINTS, strict=True):
+        inertial: Any = robot.find(f"link[@name='{link}']/inertial")
+        hinge: Any = robot.find(f"joint[@name='{joint}_joint']")
+        assert hinge.find("child").get("link") == link
+        assert numbers(inertial.find("mass"), "value") == [mass]
+        assert numbers(inertial.find("origin"), "xyz", "rpy") == [0, 0, z, 0, 0, 0]
+        assert numbers(inertial.find("inertia"), "ixx", "iyy", "izz", "ixy", "ixz", "iyz") == [*moments, 0, 0, 0]
+        assert numbers(hinge.find("origin"), "xyz", "rpy") == pytest.approx([*at, 0, pitch, 0], abs=1e-11)
+        assert numbers(hinge.find("axis"), "xyz") == list(axis)
+    assert numbers(robot.find("joint[@name='ee_fixed_joint']/origin"), "xyz") == list(FLANGE)
