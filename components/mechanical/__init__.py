@@ -7,6 +7,7 @@ from phfmu.components.mechanical.contacts import bumper, end_stop, impact_pair
 from phfmu.components.mechanical.fekete import fekete
 from phfmu.components.mechanical.four_bar import four_bar
 from phfmu.components.mechanical.four_particle import four_particle
+from phfmu.components.mechanical.gas_cylinder import gas_cylinder
 from phfmu.components.mechanical.heavy_top import heavy_top
 from phfmu.components.mechanical.mass_spring import mass_spring
 from phfmu.components.mechanical.multibody import Mechanism, Multibody
@@ -27,6 +28,7 @@ __all__ = [
     "flexible_shaft",
     "four_bar",
     "four_particle",
+    "gas_cylinder",
     "heavy_top",
     "impact_pair",
     "mass",

@@ -52,14 +52,16 @@ class PhaseMachine:
         return np.concatenate([u - self.R * I, [tau - self.d * w + 0.5 * I @ slope @ I, w]]), I
 
 
-def integrated(rates: Callable, start: np.ndarray, times: np.ndarray, stops: tuple[float, ...] = ()) -> np.ndarray:
+def integrated(
+    rates: Callable, start: np.ndarray, times: np.ndarray, stops: tuple[float, ...] = (), atol: float = 1e-9
+) -> np.ndarray:
     """States at `times` (n x states); `rates(t, x, k)` with k the number of `stops` passed, where the integration begins anew."""
     out, x, marks = [], start, [times[0], *stops, times[-1]]
     for k, (a, b) in enumerate(zip(marks[:-1], marks[1:], strict=True)):
         if b <= a:
             continue
         inside = times[(times >= a) & (times < b)]
-        found = solve_ivp(lambda t, y, k=k: rates(t, y, k), (a, b), x, "DOP853", [*inside, b], rtol=1e-12, atol=1e-9)
+        found = solve_ivp(lambda t, y, k=k: rates(t, y, k), (a, b), x, "DOP853", [*inside, b], rtol=1e-12, atol=atol)
         assert found.success, found.message
         out.append(found.y[:, :-1].T)
         x = found.y[:, -1]

@@ -9,6 +9,7 @@ from phfmu.components.mechanical.mechanisms.gear_train import gear_train
 from phfmu.components.mechanical.mechanisms.pendulum import pendulum
 from phfmu.components.mechanical.mechanisms.rope_bridge import rope_bridge
 from phfmu.components.mechanical.mechanisms.slider_crank import slider_crank
+from phfmu.components.mechanical.mechanisms.ur5 import ur5
 
 __all__ = [
     "andrews",
@@ -20,4 +21,5 @@ __all__ = [
     "pendulum",
     "rope_bridge",
     "slider_crank",
+    "ur5",
 ]

@@ -218,7 +218,10 @@ class Equations:
     def _observe_wrench(
         self, joint: Joint, sides: tuple[JointSide, JointSide], position: list[ca.SX], axes: list[ca.SX]
     ) -> None:
-        """Force at the point of the second body, and torque about it, -(dg/dp)^T lambda and -w x (dg/dw)^T lambda."""
+        """Force at the point of the second body, and torque about it, -(dg/dp)^T lambda and -w x (dg/dw)^T lambda.
+
+        What has the unit of its motor's port, whose name it would have, is NAME.reaction.
+        """
         name, b = joint.name, sides[1].symbols
         multipliers = {
             f"{name}.{suffix}": ca.SX.sym(suffix, ca.vertcat(*rows).numel())
@@ -245,7 +248,9 @@ class Equations:
         for what, unit, expr in (("force", "N", force), ("torque", "N.m", torque)):
             if expr.nnz() and not expr.is_zero():
                 text, dense = f"{what} of {name} on its second body", ca.densify(expr)
-                self.made.observable(f"{name}.{what}", unit, lambda d, e=dense: placed(e, d), text)
+                motor = joint.motor and unit == ("N.m" if joint.equations.coordinates[0].unit == "rad" else "N")
+                label = f"{name}.reaction" if motor else f"{name}.{what}"
+                self.made.observable(label, unit, lambda d, e=dense: placed(e, d), text)
 
     def _gear(self, gear: Gear) -> None:
         """s_b - ratio s_a stays as it is at the start, of the coordinates s of two joints."""

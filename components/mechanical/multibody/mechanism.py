@@ -35,7 +35,8 @@ class Mechanism:
     Multipliers:  `NAME.lambda` of joints [N], `NAME.lambda_axes` [N.m], `NAME.rigid` of bodies [N/m]
     Observables:  of a body NAME.position [m] (centre of mass), rotation (3 x 3, by columns; in the plane NAME.angle),
                   angular_velocity [rad/s], momentum, energy;  of a joint NAME.force [N] and NAME.torque [N.m] on its second
-                  body in the axes of the world, and NAME.angle or .length with .rate
+                  body in the axes of the world, and NAME.angle or .length with .rate;  where a motor's port has
+                  the name NAME.torque, or of a slider NAME.force, that of the joint is NAME.reaction
     Errors:       ValueError names the body or joint and the numbers
     """
 
