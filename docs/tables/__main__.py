@@ -67,7 +67,9 @@ def main() -> None:
     parser.add_argument(
         "--tree", action="append", type=Path, metavar="PATH", help="of house: a tree to measure; may be repeated"
     )
-    parser.add_argument("--picture", action="append", metavar="SCENE", help="of gallery: draw only this one; may be repeated")
+    parser.add_argument(
+        "--picture", action="append", metavar="SCENE", help="of gallery: draw only this one; may be repeated"
+    )
     args = parser.parse_args()
     if args.picture and args.names != ["gallery"]:
         parser.error("--picture is of gallery")

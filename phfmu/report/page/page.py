@@ -109,7 +109,10 @@ def _verdict(summary: LedgerSummary) -> Iterator[str]:
 def _facts(history: History, run: Run) -> Iterator[str]:
     about, steps = history.about, history.steps
     versions = about.get("phfmu.audit.versions", {})
-    facts: dict[str, Any] = {"target": about.get("target"), "run": (about.get("run") or "") + (about.get("kernels") or "")}
+    facts: dict[str, Any] = {
+        "target": about.get("target"),
+        "run": (about.get("run") or "") + (about.get("kernels") or ""),
+    }
     if len(steps["t0"]):
         t, h = steps["t0"], steps["h"]
         size = f"{h.min():.3g} s" if h.max() - h.min() <= 1e-9 * h.max() else f"{h.min():.3g} s to {h.max():.3g} s"

@@ -78,8 +78,9 @@ int ph_matrix_plain(ph_master *m) {
     return ph_matrix_factor(m);
 }
 
-/* Factors of the matrix with rows scaled by their largest entries. Pivots are searched for, not kept: they are
- * those of this matrix whatever was factored before, so that a step does not depend on where a run began. */
+/* Factors of the matrix with rows scaled by their largest entries. Pivots are searched for, not kept: they
+ * are those of this matrix whatever was factored before, so that a step does not depend on where a run began.
+ */
 int ph_matrix_factor(ph_master *m) {
     const int all = m->nxi + 2 * m->nbare;
     ph_lu *lu = m->lu;
