@@ -119,7 +119,7 @@ def _end_all() -> None:
 
 @dataclass(frozen=True)
 class _Work:
-    """A private folder with the sources; `root`: the cache, `running`: compilers that are at work, `over`: none is wanted more."""
+    """A private folder with the sources; `root`: the cache, `running`: compilers that are at work, `over`: no more are wanted."""
 
     root: Path
     folder: Path
