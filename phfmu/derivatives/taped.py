@@ -13,21 +13,22 @@ The step that ends there has its length h from the guard, g(x, T_0 + h) = 0, so 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.derivatives.by import start_tangents_by
-from phfmu.derivatives.derived import ROOM, DerivedSteps, LandedSteps, end_of
+from phfmu.derivatives.derived import ROOM, DerivedSteps, LandedSteps, span
 from phfmu.derivatives.event_maps import Instant
 from phfmu.derivatives.measured import TIME
 from phfmu.derivatives.tangents import OF_INSTANT, OF_STEP, places
 from phfmu.discretise.model import Model
 from phfmu.engine.native.native import NativeInstance
-from phfmu.engine.native.reverse import NativeReverse, NativeTape, RowBars
+from phfmu.engine.native.reverse import NativeReverse, NativeTape, NativeTapes, RowBars
 from phfmu.engine.record import Grid
+from phfmu.events.modes import Mode
 from phfmu.network.couplings.stepper import Landing
 from phfmu.outcome.steps import Landed, StepEvent, Steps
 from phfmu.signals import Quantity, quantities
@@ -61,12 +62,14 @@ class Occurrence:
     rests: tuple[int, ...]
     after: Instant
     a_before: Array
+    entered: Mode | None
 
 
 @dataclass
 class Leg:
     """n steps: starts and lengths (n), how they were taken, rows `first_row`.. of the run, states at the end, what was set after
-    them.  `occurrence`: what happened at its end;  `moves`: its start is the instant of an event, and follows from values."""
+    them.  `occurrence`: what happened at its end;  `moves`: its start is the instant of an event, and follows from values;
+    mode: of ideal switches."""
 
     starts: Array
     sizes: Array
@@ -80,10 +83,16 @@ class Leg:
     cuts: list[str] = field(default_factory=list)
     occurrence: Occurrence | None = None
     moves: bool = False
+    mode: Mode | None = None
 
     @property
     def n(self) -> int:
         return len(self.starts)
+
+    @property
+    def entered(self) -> Mode | None:
+        """The mode after it."""
+        return self.mode if self.occurrence is None else self.occurrence.entered
 
     @property
     def rows(self) -> int:
@@ -149,6 +158,7 @@ class TapedSteps(DerivedSteps):
             i = self.instance
             self._start = i.time, i.x[: self.model.step.nx].copy(), self._inputs.u.copy(), i.parameters.copy()
             self._start_a = i.signal("a_end").copy()
+            self._start_mode = None if self.model.modes is None else i.mode
         return super().read()
 
     def ran(self, instance: Any, t0: float, h: float, n: int, first: int, inputs: Array | None) -> Steps:
@@ -191,6 +201,7 @@ class TapedSteps(DerivedSteps):
     ) -> tuple[Steps | None, tuple[StepEvent, Array] | None]:
         part, e, layout = found.part, found.part.happened, self.instance.layout
         leg = self._leg(self._calls[-1], part.t, part.h, found.u, found.p)
+        leg.mode = found.mode
         leg.end, a = found.x, np.zeros((0, self.model.step.na))
         if len(part.t):
             leg.end, a = (part.rows["signals"][:, layout[block]].copy() for block in ("x", "a_end"))
@@ -198,7 +209,8 @@ class TapedSteps(DerivedSteps):
         leg.kept = Kept(found.rows, a)
         if e is not None:
             there = Instant(e.t, e.signals[layout["x"]].copy(), e.signals[layout["a_end"]].copy(), found.u, found.after)
-            leg.occurrence = Occurrence(e.t, e.events, e.rests, there, a[-1] if len(a) else np.zeros(0))
+            before = a[-1] if len(a) else there.a
+            leg.occurrence = Occurrence(e.t, e.events, e.rests, there, before, found.entered)
             self._moving = leg.moves or len(part.t) > 0
         return steps, row
 
@@ -212,10 +224,10 @@ class TapedSteps(DerivedSteps):
             return
         g = call.grid
         parts = instance.land(g.t0, g.h, g.n, ("signals",), g.first, call.changed, pause=g.pause)
-        with NativeTape(instance, g.n + ROOM) as tape:
+        with NativeTapes(instance, g.n + ROOM) as tapes:
             for leg, part in zip(call.legs, parts, strict=True):
                 a = part.rows["signals"][:, instance.layout["a_end"]].copy() if leg.n else np.zeros((0, 0))
-                leg.kept = Kept(tape.taken(end_of(part.t, part.h)), a)
+                leg.kept = Kept(tapes.of(leg.mode).taken(*span(part.t, part.h)), a)
 
     def _take(self, call: Call, wanted: tuple[str, ...]) -> tuple[dict[str, Array], Kept]:
         """The steps of a call without events, from its state on."""
@@ -253,17 +265,19 @@ class TapedSteps(DerivedSteps):
         landed = self._coinciding()
         # measures, and behind them the instants of guards that are zero with others
         total = len(weights) + sum(len(leg.occurrence.fired) for leg in landed if leg.occurrence is not None)
-        back, end = NativeReverse(self.model, self.instance._made, total), self.instance.get_state()
-        way = _Way(self, back, bars, total)
+        end = self.instance.get_state()
+        way = _Way(self, bars, total)
         for leg in reversed(self.legs):
-            self._cut(leg, back)
+            self._cut(leg, way.back)
             way.over(leg)
         self.instance.set_state(end)
+        way.enter(self._start_mode)
+        back = way.back
         t, x, u, p = self._start
         told, instants = bars.of_rows(0, 1, total)
         there = bars.means_at_start(told[0]) + (0.0 if instants is None else instants[0])
         if there.any():
-            back.instant(t, x, u, p, self._start_a, there)
+            back.instant(t, x, u, p, self._start_a, bars.in_model(there, self.model_in(self._start_mode)))
         nx = self.model.step.nx
         xb = back.bars.x[:, :nx] + told[0][:, :nx]
         S = start_tangents_by(self.model, self.by, self._given, x, p, t)
@@ -290,19 +304,38 @@ class TapedSteps(DerivedSteps):
 class _Way:
     """The way back over the legs of a run: `tau`, the bars of the instant where the next leg begins."""
 
-    def __init__(self, run: TapedSteps, back: NativeReverse, bars: _AllBars, total: int):
-        self._run, self._back, self._bars, self._total = run, back, bars, total
-        self._maps, self._probe = run.maps, None
+    def __init__(self, run: TapedSteps, bars: _AllBars, total: int):
+        self._run, self._bars, self._total, self._maps = run, bars, total, run.maps
+        self._backs: dict[tuple[Mode | None, bool], NativeReverse] = {}
+        self._mode = run.legs[-1].entered if run.legs else None
+        self.back = self._of(self._mode)
         self._nx, self._d = run.model.step.nx, run.by.directions
         self._tau = np.zeros(total)
         #: places of measures that are instants, by leg; the next one
         self._instants: list[tuple[Leg, slice]] = []
         self._free = total
 
+    def _of(self, mode: Mode | None, guard: bool = False) -> NativeReverse:
+        """The way back over steps in a mode, of the measures or of a guard."""
+        if (mode, guard) not in self._backs:
+            instance = self._run.instance if mode is None else self._run.instance.of(mode)[0]
+            n = 1 if guard else self._total
+            self._backs[mode, guard] = NativeReverse(self._run.model_in(mode), instance._made, n)
+        return self._backs[mode, guard]
+
+    def enter(self, mode: Mode | None) -> None:
+        """Bars go on in a mode."""
+        before, self.back = self.back, self._of(mode)
+        self._mode = mode
+        if before is not self.back:
+            for old, new in zip(before.bars.all, self.back.bars.all, strict=True):
+                new[:] = old
+
     def over(self, leg: Leg) -> None:
         """Back over a leg."""
         if leg.occurrence is not None:
             self._happened(leg, leg.occurrence)
+        self.enter(leg.mode)
         if not leg.n:
             return
         if leg.kept is None:
@@ -321,8 +354,8 @@ class _Way:
 
     def _happened(self, leg: Leg, e: Occurrence) -> None:
         """From the row after events to the states before them."""
-        assert self._maps is not None
-        b, at, row = self._back.bars, e.after, leg.first_row + leg.n
+        self.enter(e.entered)
+        b, at, row, maps = self.back.bars, e.after, leg.first_row + leg.n, self._run.maps_in(leg.mode)
         told, instants = self._bars.of_rows(row, 1, self._total)
         there = self._bars.means_at_start(told[0]) + (0.0 if instants is None else instants[0])
         if there.any():
@@ -332,7 +365,13 @@ class _Way:
         b.lost[:] += self._bars.energies(told[0])[1]
         self._tau += self._bars.by_time(row, self._total)
         before = Instant(e.t, leg.end, e.a_before, at.u, at.p)
-        jump = self._maps.jump(e.fired, e.rests, before)
+        if self._run.entry is not None:
+            entry = self._run.entry.slope(replace(before, x=maps.jumped(before, e.fired, e.rests)), at.x)
+            own = b.x[:, : self._nx].copy()
+            b.x[:, : self._nx] = own @ entry.x
+            self._tau += own @ entry.t
+            self._along(own @ entry.along)
+        jump = maps.jump(e.fired, e.rests, before)
         if jump is not None:
             own = b.x[:, jump.moved]
             b.x[:, : self._nx] += own @ jump.x
@@ -341,16 +380,16 @@ class _Way:
 
     def _along(self, along: Array) -> None:
         """Bars (measures x directions) of parameters and inputs are added."""
-        d, b = self._d, self._back.bars
+        d, b = self._d, self.back.bars
         b.p[:, list(d.parameters)] += along[:, : len(d.parameters)]
         b.u[:, list(d.inputs)] += along[:, len(d.parameters) :]
 
     def _at_instant(self, at: Instant, there: Array) -> None:
         """Bars of values at an instant become those of its states and time."""
-        b = self._back.bars
+        b = self.back.bars
         kept = b.x.copy()
         b.x[:] = 0.0
-        self._back.instant(at.t, at.x, at.u, at.p, at.a, there)
+        self.back.instant(at.t, at.x, at.u, at.p, at.a, self._bars.in_model(there, self._run.model_in(self._mode)))
         self._tau += b.x[:, self._nx]
         b.x[:] += kept
 
@@ -379,11 +418,11 @@ class _Way:
         if begin:
             self._clear()
             self._parts(leg, slice(0, begin), step, bars, moves=True)
-            b = self._back.bars  # it ends on the grid: its length is less by what its start is later
+            b = self.back.bars  # it ends on the grid: its length is less by what its start is later
             self._tau[:] = b.x[:, self._nx] - b.h[:, 0]
 
     def _clear(self) -> None:
-        b = self._back.bars
+        b = self.back.bars
         b.x[:, self._nx] = b.h[:] = 0.0
 
     def _parts(
@@ -392,15 +431,15 @@ class _Way:
         assert leg.kept is not None
         rows = leg.kept.rows[which]
         part = rows[:, 1] / leg.sizes[step[which]]
-        (back or self._back).back(rows, leg.parameters, np.asarray(step[which], np.int32), part, bars, moves)
+        (back or self.back).back(rows, leg.parameters, np.asarray(step[which], np.int32), part, bars, moves)
 
     def _land(self, leg: Leg, which: slice, step: Any, bars: RowBars) -> None:
         """Back over the step that ends where guards are zero, whose length follows from where it begins."""
-        e, maps, nx = leg.occurrence, self._maps, self._nx
-        assert e is not None and maps is not None
+        e, maps, nx = leg.occurrence, self._run.maps_in(leg.mode), self._nx
+        assert e is not None
         self._clear()
         self._parts(leg, which, step, bars, moves=True)
-        b = self._back.bars
+        b = self.back.bars
         t, h = b.x[:, nx] + self._tau, b.h[:, 0] + self._tau
         at = Instant(e.t, leg.end, e.a_before, leg.held, leg.parameters)
         through = [self._guard(i, at, leg, which, step) for i in e.fired]
@@ -423,31 +462,30 @@ class _Way:
 
     def _guard(self, i: int, at: Instant, leg: Leg, which: slice, step: Any) -> _Through:
         """Guard i at the end of a step by where it begins."""
-        assert self._maps is not None
-        g, d, nx = self._maps.guard(i, at), self._d, self._nx
-        if self._probe is None:
-            self._probe = NativeReverse(self._run.model, self._run.instance._made, 1)
-        b = self._probe.bars
-        for bar in (b.x, b.p, b.u, b.pairs, b.lost, b.h):
+        g, d, nx = self._run.maps_in(leg.mode).guard(i, at), self._d, self._nx
+        probe = self._of(leg.mode, guard=True)
+        b = probe.bars
+        for bar in b.all:
             bar[:] = 0.0
         b.x[0, :nx] = g.x
         nothing = RowBars(np.zeros(0, np.int32), np.zeros((0, 1, 1)))
-        self._parts(leg, which, step, nothing, moves=True, back=self._probe)
+        self._parts(leg, which, step, nothing, moves=True, back=probe)
         along = np.concatenate([b.p[0, list(d.parameters)], b.u[0, list(d.inputs)]]) + g.along
         return _Through(b.x[0, :nx].copy(), float(b.x[0, nx]) + g.t, float(b.h[0, 0]) + g.t, along)
 
     def _instant_rows(self, leg: Leg, told: Array, instants: Array, a_end: Array, step: Any) -> None:
         """Bars of values at the ends of steps become bars of the states there, and of the time of the last one."""
         assert leg.kept is not None
-        nx, model, rows = self._nx, self._run.model, leg.kept.rows
+        nx, model, rows = self._nx, self._run.model_in(leg.mode), leg.kept.rows
         last = np.array(model.scheme.nodes.value(1.0)) if model.step.k > 1 else np.ones(1)
-        b, tau = self._back.bars, self._tau.copy()
+        b, tau = self.back.bars, self._tau.copy()
         kept, begins = b.x.copy(), np.searchsorted(step, np.arange(leg.n), "left")
         for i in np.flatnonzero(instants.any(axis=(1, 2))).tolist():
             x = leg.end if i == leg.n - 1 else rows[begins[i + 1], 2 : 2 + nx]
             b.x[:] = 0.0
             t = float(leg.starts[i] + leg.sizes[i])
-            self._back.instant(t, x, leg.input_at_end(i, last), leg.parameters, a_end[i], instants[i])
+            own = self._bars.in_model(instants[i], model)
+            self.back.instant(t, x, leg.input_at_end(i, last), leg.parameters, a_end[i], own)
             told[i, :, :nx] += b.x[:, :nx]
             if i == leg.n - 1 and leg.occurrence is not None:
                 tau += b.x[:, nx]
@@ -472,8 +510,8 @@ class _AllBars:
         self._times = times
         self._weights, self._owner, self._n = weights, step.pair_owner, len(weights)
         self._told = places(("x", *OF_STEP), (step.nx, step.na, step.nq, step.nq, step.ncomp))
-        self._instant = places(OF_INSTANT, (instant.na, instant.nq, instant.nobs, instant.ncomp))
-        self._na, self._nq = step.na, step.nq
+        self._instant = places(OF_INSTANT, (instant.na, instant.nq, len(model.observable_names), instant.ncomp))
+        self._na, self._nq, self._nobs = step.na, step.nq, len(model.observable_names)
 
     def of_rows(self, first: int, n: int, total: int) -> tuple[Array, Array | None]:
         """Bars (rows x total x width) of what rows tell, and of what holds at their ends, None for none; those of the measures
@@ -500,6 +538,11 @@ class _AllBars:
         found[:, self._instant["a_end"]] = told[:, self._told["a"]]
         found[:, self._instant["y_end"]] = told[:, self._told["y_step"]]
         return found
+
+    def in_model(self, bars: Array, model: Model) -> Array:
+        """Bars of an instant for a mode, which has rows of its own behind the observables."""
+        end, more = self._instant["observables"].stop, model.instant.nobs - self._nobs
+        return bars if not more else np.insert(bars, [end] * more, 0.0, axis=-1)
 
     def energies(self, told: Array) -> tuple[Array, Array]:
         """Bars (measures x ..) of energies through pairs and of those lost, since the start."""
