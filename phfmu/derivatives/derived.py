@@ -73,6 +73,9 @@ class DerivedSteps(Monolithic):
     def __init__(self, model: Model, instance: Any, by: Sequence[str]):
         super().__init__(model, instance)
         self.by = By.of(model.declaration, by)
+        sides = set() if model.modes is None else {s.mode_name for s in model.modes.modes.switches}
+        if found := [n for n in self.by.names if n in sides]:
+            raise KeyError(f"{model.name}: '{found[0]}' is the mode of an ideal switch; there is no derivative by it")
         #: states after the last step, None before the first one
         self._last: Array | None = None
         maps = None if model.events is None else EventMaps(model, model.events, self.by.directions)
