@@ -12,11 +12,13 @@ from numpy.typing import NDArray
 
 from phfmu.derivatives.by import By
 from phfmu.derivatives.event_maps import EventMaps
+from phfmu.derivatives.mode_entry import ModeEntry
 from phfmu.derivatives.tangents import in_parts
 from phfmu.discretise.model import Model
 from phfmu.discretise.start import Projection
-from phfmu.engine.native.reverse import NativeTape
+from phfmu.engine.native.reverse import NativeTapes
 from phfmu.engine.record import Grid
+from phfmu.events.modes import Mode, Modes
 from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.network.couplings.stepper import Landing
 from phfmu.network.members.inputs import Inputs
@@ -36,7 +38,7 @@ class LandedSteps:
     """A part of a run with state events: steps under the same parameters, perhaps none, and what happened at their end.
 
     x: states at the start (nx);  rows: of their tape;  u, p: inputs (nu) and parameters before, `after`: parameters (np) after
-    what happened
+    what happened;  mode, entered: of ideal switches, before and after, None without such
     """
 
     part: Landed
@@ -45,11 +47,21 @@ class LandedSteps:
     u: Array
     p: Array
     after: Array
+    mode: Mode | None
+    entered: Mode | None
 
 
-def end_of(t: Array, h: Array) -> float:
-    """A time before the end of the last of some steps, and behind the start of all parts of it; before everything for none."""
-    return float(t[-1] + (1 - 1e-9) * h[-1]) if len(t) else -np.inf
+def mode_after(modes: Modes, mode: Mode, switched: Sequence[str]) -> Mode:
+    """The mode after switches went to the sides that are told in words."""
+    place, found = {s.name: i for i, s in enumerate(modes.switches)}, list(mode)
+    for name, _, side in (word.rpartition(" ") for word in switched):
+        found[place[name]] = int(side == "on")
+    return tuple(found)
+
+
+def span(t: Array, h: Array) -> tuple[float, float]:
+    """Times between which all parts of some steps begin, and no others; none for no steps."""
+    return (float(t[0] - 1e-9 * h[0]), float(t[-1] + (1 - 1e-9) * h[-1])) if len(t) else (-np.inf, -np.inf)
 
 
 class DerivedSteps(Monolithic):
@@ -61,11 +73,17 @@ class DerivedSteps(Monolithic):
     def __init__(self, model: Model, instance: Any, by: Sequence[str]):
         super().__init__(model, instance)
         self.by = By.of(model.declaration, by)
+        sides = set() if model.modes is None else {s.mode_name for s in model.modes.modes.switches}
+        if found := [n for n in self.by.names if n in sides]:
+            raise KeyError(f"{model.name}: '{found[0]}' is the mode of an ideal switch; there is no derivative by it")
         #: states after the last step, None before the first one
         self._last: Array | None = None
         maps = None if model.events is None else EventMaps(model, model.events, self.by.directions)
         #: derivatives of state events, and those that happened
         self.maps, self.met = maps, list[Happened]()
+        self._maps_of: dict[Mode | None, EventMaps | None] = {None: maps}
+        #: of entering modes, None without ideal switches
+        self.entry = None if model.modes is None else ModeEntry(model.modes.modes, self.by.directions)
         #: states that the start was given, before a projection
         self._given = instance.x[: model.step.nx].copy()
 
@@ -177,25 +195,47 @@ class DerivedSteps(Monolithic):
         assert self.maps is not None
         p, u, current = instance.parameters.copy(), instance.held_input.copy(), list[Landed]()
         place, x = instance.layout["x"], instance.x[: self.model.step.nx].copy()
+        switched = self.model.modes is not None
+        mode = instance.mode if switched else None
 
         def kept() -> Iterator[Landed]:
             for part in parts:
                 current[:] = [part]
                 yield part
 
-        with NativeTape(instance, self._grid[0].n + ROOM) as tape:
+        with NativeTapes(instance, self._grid[0].n + ROOM) as tapes:
             for t, h, steps, row in super().landings(instance, before, kept()):
                 part, happened = current[0], current[0].happened
+                tape = tapes.of(mode)
                 if tape.full:
                     raise in_parts(self.model, float(t[0]), self._grid[0].h)
-                rows = tape.taken(end_of(t, h))
+                rows = tape.taken(*span(t, h))
                 self.met += [] if happened is None else [happened]
                 after = p if happened is None else self.maps.after(p, happened.events, happened.rests)
-                more = self.follow_landed(LandedSteps(part, x, rows, u, p, after), steps, row)
+                entered = mode
+                if mode is not None and happened is not None and self.model.modes is not None:
+                    entered = mode_after(self.model.modes.modes, mode, happened.switched)
+                    after = self.model.modes.modes.system.in_mode(after, entered)
+                more = self.follow_landed(LandedSteps(part, x, rows, u, p, after, mode, entered), steps, row)
+                mode = entered
                 x = x if not len(t) else part.rows["signals"][-1, place]
                 x, p = x if happened is None else happened.signals[place], after
                 self._last = x.copy()
                 yield t, h, *more
+
+    def model_in(self, mode: Mode | None) -> Model:
+        """The model of a mode."""
+        return self.model if mode is None or self.model.modes is None else self.model.modes[mode]
+
+    def maps_in(self, mode: Mode | None) -> EventMaps:
+        """Derivatives of the state events of a mode."""
+        if mode not in self._maps_of:
+            model = self.model_in(mode)
+            assert model.events is not None
+            self._maps_of[mode] = EventMaps(model, model.events, self.by.directions)
+        found = self._maps_of[mode]
+        assert found is not None
+        return found
 
     def follow_landed(
         self, found: LandedSteps, steps: Steps | None, row: tuple[StepEvent, Array] | None

@@ -150,8 +150,21 @@ class EventMaps:
 
     # -- jumps -------------------------------------------------------------------------------------------------------
 
+    def jumped(self, at: Instant, fired: Sequence[int], rests: Sequence[int]) -> Array:
+        """The states (nx) after the jump of events."""
+        found = self._jump(fired, rests, at)
+        x = at.x.copy()
+        if found is not None:
+            x[found[0].moved] += found[1]
+        return x
+
     def jump(self, fired: Sequence[int], rests: Sequence[int], at: Instant) -> JumpSlope | None:
         """Derivative of the jump of events, with the states before and the parameters after them; None: none of them moves."""
+        found = self._jump(fired, rests, at)
+        return None if found is None else found[0]
+
+    def _jump(self, fired: Sequence[int], rests: Sequence[int], at: Instant) -> tuple[JumpSlope, Array] | None:
+        """The same, with the jump of the states that move."""
         jump = self.plan.jump
         jumping = [] if jump is None else [i for i in fired if jump.of[i] >= 0]
         if jump is None or not (jumping or jump.held):
@@ -180,7 +193,7 @@ class EventMaps:
         right = -(1.0 + thrown)[:, None] * dc - dthrown * c[:, None] - np.einsum("ijk,j->ik", dS, found)
         dm = np.linalg.solve(S[np.ix_(own, own)], right[own])
         moved = np.einsum("jik,j->ik", dL[own], found[own]) + L[own].T @ dm
-        return self._placed(jump.moved, moved, jump.group)
+        return self._placed(jump.moved, moved, jump.group), L[own].T @ found[own]
 
     def _acting(self, S: Array, goal: Array, pushes: NDArray[np.bool_], jumping: Sequence[int], t: float) -> Any:
         """Columns that act and do not depend on those before them; NoDerivative where a contact is at the edge of acting."""

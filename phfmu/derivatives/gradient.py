@@ -142,7 +142,7 @@ def chosen_mode(mode: Mode, instance: Any, measures: int, names: int) -> str:
     """Forward or reverse, what costs less if it is open; ValueError where a mode is none, or has no code."""
     if mode not in get_args(Mode):
         raise ValueError(f"mode '{mode}': expected {', '.join(get_args(Mode))}")
-    native = isinstance(instance, NativeInstance)
+    native = isinstance(getattr(instance, "present", instance), NativeInstance)
     if mode == "reverse" and not native:
         raise ValueError("derivatives go backwards in compiled code only; take a NativeInstance, or mode forward")
     if mode != "auto":

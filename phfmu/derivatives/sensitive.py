@@ -118,9 +118,11 @@ class SensitiveSteps(DerivedSteps):
     def follow_landed(
         self, found: LandedSteps, steps: Steps | None, row: tuple[StepEvent, Array] | None
     ) -> tuple[Steps | None, tuple[StepEvent, Array] | None]:
-        part, layout, e, model = found.part, self.instance.layout, found.part.happened, self.model
+        part, layout, e = found.part, self.instance.layout, found.part.happened
+        model = self.model_in(found.mode)
         x, n, nx = found.x, len(part.t), model.step.nx
-        a = np.zeros(0)
+        a = e.signals[layout["a_end"]] if e is not None else np.zeros(0)
+        self._tangents.enter(self.model_in(found.mode), self.maps_in(found.mode))
         if steps is not None:
             if len(found.rows) != n:
                 raise in_parts(model, float(part.t[0]), float(part.h.max()))
@@ -135,8 +137,12 @@ class SensitiveSteps(DerivedSteps):
         if e is not None and row is not None:
             x_after, a_after = e.signals[layout["x"]], e.signals[layout["a_end"]]
             old = Instant(e.t, x, a, found.u, found.after)
-            new = Instant(e.t, x_after, a_after, found.u, found.after)
-            self._row = self._derived(self._tangents.happened(old, new, e.events, e.rests))[0]
+            self._tangents.jump(old, e.events, e.rests)
+            if self.entry is not None and found.entered is not None:
+                jumped = self.maps_in(found.mode).jumped(old, e.events, e.rests)
+                self._tangents.entered(self.entry.slope(replace(old, x=jumped), x_after))
+                self._tangents.enter(self.model_in(found.entered), self.maps_in(found.entered))
+            self._row = self._derived(self._tangents.at(Instant(e.t, x_after, a_after, found.u, found.after)))[0]
             row = row[0], np.concatenate([row[1], self._row])
         return steps, row
 

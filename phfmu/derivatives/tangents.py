@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from phfmu.derivatives.by import By, start_tangents_by
 from phfmu.derivatives.event_maps import EventMaps, Instant
+from phfmu.derivatives.mode_entry import EntrySlope
 from phfmu.derivatives.plan_function import PlanFunction, Point, Rows
 from phfmu.discretise.model import Model
 from phfmu.signals import Quantity
@@ -82,17 +83,25 @@ class Tangents:
     def __init__(self, model: Model, by: By):
         require_derived(model)
         self.model, self.by = model, by
-        step, instant = model.step, model.instant
-        #: of models with state events, whose instants move
-        self.events = None if model.events is None else EventMaps(model, model.events, by.directions)
-        moves = self.events is not None
-        self._step = PlanFunction(step, _told_of_step, by.directions, moves)
-        self._instant = PlanFunction(instant, _told_of_instant, by.directions, moves)
+        self._plans: dict[int, tuple[PlanFunction, PlanFunction]] = {}
+        step = model.step
         self._of_step = places(OF_STEP, (step.na, step.nq, step.nq, step.ncomp))
-        self._of_instant = places(OF_INSTANT, (instant.na, instant.nq, instant.nobs, instant.ncomp))
+        self.enter(model, None if model.events is None else EventMaps(model, model.events, by.directions))
+        self.reset()
+
+    def enter(self, model: Model, events: EventMaps | None) -> None:
+        """Steps are those of `model` from now on, a mode of ideal switches; `events`: where instants move."""
+        if id(model) not in self._plans:
+            about = self.by.directions, events is not None
+            self._plans[id(model)] = (
+                PlanFunction(model.step, _told_of_step, *about),
+                PlanFunction(model.instant, _told_of_instant, *about),
+            )
+        (self._step, self._instant), self.model, self.events = self._plans[id(model)], model, events
+        step, instant = model.step, model.instant
         self._U = np.zeros((step.nx, step.nw))
         np.add.at(self._U, (step.update_x, step.update_w), step.update_c)
-        self.reset()
+        self._of_instant = places(OF_INSTANT, (instant.na, instant.nq, instant.nobs, instant.ncomp))
 
     def reset(self) -> None:
         """Before the start."""
@@ -124,14 +133,21 @@ class Tangents:
         blocks |= {"a": found["a_end"], "y_step": found["y_end"]}
         return self._with_sums(blocks, {n: s[None] for n, s in self._sums.items()})
 
-    def happened(self, before: Instant, after: Instant, fired: Sequence[int], rests: Sequence[int]) -> dict[str, Array]:
-        """Blocks of the row after events, of which some come to rest: the states `before` them with the parameters after them."""
+    def jump(self, before: Instant, fired: Sequence[int], rests: Sequence[int]) -> None:
+        """The states jump at events, of which some come to rest: the states `before` them with the parameters after them."""
         assert self.events is not None
         jump = self.events.jump(fired, rests, before)
         if jump is not None:
             along = self.by.spread(jump.along) * self._acts
             self.S[jump.moved] += jump.x @ self.S + np.outer(jump.t, self.T) + along
-        return self._at_once(after.t, after.x, after.u, after.p, after.a)
+
+    def entered(self, entry: EntrySlope) -> None:
+        """The states go onto the constraints of a mode."""
+        self.S = entry.x @ self.S + np.outer(entry.t, self.T) + self.by.spread(entry.along) * self._acts
+
+    def at(self, i: Instant) -> dict[str, Array]:
+        """Blocks of the row after an event."""
+        return self._at_once(i.t, i.x, i.u, i.p, i.a)
 
     def over(self, steps: Taken, landed: Sequence[int] = (), grid: float = 0.0) -> dict[str, Array]:
         """Blocks of the rows at the ends of steps that go on from those before: name -> (n x entries x names).
@@ -230,8 +246,8 @@ def of_quantities(quantities: Sequence[Quantity], blocks: dict[str, Array], by: 
 def require_smooth(model: Model) -> None:
     """ValueError for what steps by themselves, which no event interrupts, have no tangents of."""
     d = model.declaration
-    if d.state_events:
-        names = ", ".join(e.guard.name for e in d.state_events[:3])
+    if d.state_events or model.modes is not None:
+        names = ", ".join(e.guard.name for e in d.state_events[:3]) or "ideal switches"
         raise ValueError(
             f"{d.name} has state events ({names}), which end steps; runs are derived through them, steps by themselves are of "
             "models without them"
@@ -242,12 +258,6 @@ def require_smooth(model: Model) -> None:
 def require_derived(model: Model) -> None:
     """ValueError for what runs have no tangents of."""
     d = model.declaration
-    if model.modes is not None:
-        names = ", ".join(s.name for s in model.modes.modes.switches[:3])
-        raise ValueError(
-            f"{d.name} has ideal switches ({names}), which change its equations at state events; derivatives are told of models "
-            "without them: take switches in series with an inductance (breaker, ideal_diode)"
-        )
     if model.step.carries or model.loses_energy:
         raise ValueError(
             f"{d.name}: scheme {model.scheme.name} has no derivatives here; take --scheme collocated or two-level"

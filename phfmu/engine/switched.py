@@ -50,6 +50,8 @@ class SwitchedInstance(Signals):
         self._asked = self._mode
         self.typical_step = 0.0  #: what it was prepared for
         self._started, self._last = False, 0.0
+        #: called with each instance that is made
+        self.made: Callable[[Any], None] | None = None
         #: state events of the last `do_step`
         self.happened: tuple[Happened, ...] = ()
 
@@ -72,7 +74,14 @@ class SwitchedInstance(Signals):
         if mode not in self._instances:
             made = self._instances[mode] = self._make(self._models[mode])
             self._fresh[mode] = made.get_state()
+            if self.made is not None:
+                self.made(made)
         return self._instances[mode]
+
+    @property
+    def instances(self) -> list[Any]:
+        """Those of the modes that came up so far."""
+        return list(self._instances.values())
 
     def _entered(self, mode: Mode) -> Any:
         """The instance of a mode, which goes on from the present one and knows nothing of when it was in use before."""

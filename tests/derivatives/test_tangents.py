@@ -148,9 +148,8 @@ def test_units_and_names() -> None:
 
 
 REFUSED = {
-    "rectifier": (["--sensitivity", "load.R"], "ideal switches (bridge.pair1"),
     "buffer": (["--sensitivity", "body.e", "--restart", "4"], "--sensitivity and --restart do not go together"),
-    "clutch": (["--sensitivity", "engaged", "--stop", "0.01", "--step", "1e-3"], "ideal switches"),
+    "clutch": (["--sensitivity", "engaged", "--stop", "0.01", "--step", "1e-3"], "is the mode of an ideal switch"),
     "smib": (["--sensitivity", "gen.Q"], "no parameter, state or input 'gen.Q'"),
     "oscillator": (["--sensitivity", "mass1.m", "--coupling", "newton"], "--sensitivity is for one composed model"),
     "dc_motor": (["--sensitivity", "R", "--rtol", "1e-3"], "--sensitivity and --rtol do not go together"),

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import ctypes
+from contextlib import ExitStack
 from dataclasses import dataclass
+from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -14,6 +16,8 @@ from phfmu.engine.native.code import Code, Functions
 from phfmu.engine.native.compiled import Made
 from phfmu.engine.native.library import Signatures, placed, typed, view
 from phfmu.engine.native.native import NativeInstance
+from phfmu.engine.switched import SwitchedInstance
+from phfmu.events.modes import Mode
 from phfmu.outcome.status import NoDerivative, Status
 from phfmu.plan.reverse import reverse, reverse_ledger
 
@@ -93,11 +97,11 @@ class NativeTape:
     def __exit__(self, *_: object) -> None:
         self._lib.ph_tape_on(self._instance.handle.instance, None, None, 0)
 
-    def taken(self, end: float) -> Floats:
-        """A copy of the parts that begin before `end`, which leave the tape."""
+    def taken(self, begin: float, end: float) -> Floats:
+        """A copy of the parts that begin in [begin, end), which leave the tape with those before: they were taken back."""
         rows = self.rows
-        n = int(np.searchsorted(rows[:, 0], end))
-        found, left = rows[:n].copy(), len(rows) - n
+        first, n = np.searchsorted(rows[:, 0], [begin, end]).tolist()
+        found, left = rows[first:n].copy(), len(rows) - n
         self._rows[:left] = rows[n:].copy()
         self._tape.n = left
         return found
@@ -113,6 +117,39 @@ class NativeTape:
         return self._rows[: self._tape.n]
 
 
+class NativeTapes:
+    """Tapes of the instance, or of one in each mode of ideal switches, in a `with` block, with `room` for parts of each."""
+
+    def __init__(self, instance: NativeInstance | SwitchedInstance, room: int):
+        self._instance, self._room, self._stack = instance, room, ExitStack()
+        self._tapes: dict[int, NativeTape] = {}
+
+    def __enter__(self) -> NativeTapes:
+        self._stack.__enter__()
+        if isinstance(self._instance, SwitchedInstance):
+            for own in self._instance.instances:
+                self._add(own)
+            self._instance.made = self._add
+        else:
+            self._add(self._instance)
+        return self
+
+    def __exit__(self, *of: Any) -> None:
+        if isinstance(self._instance, SwitchedInstance):
+            self._instance.made = None
+        self._stack.__exit__(*of)
+
+    def _add(self, instance: NativeInstance) -> None:
+        self._tapes[id(instance)] = self._stack.enter_context(NativeTape(instance, self._room))
+
+    def of(self, mode: Mode | None) -> NativeTape:
+        """The tape of the instance in a mode."""
+        own = self._instance
+        if isinstance(own, SwitchedInstance) and mode is not None:
+            own = own.of(mode)[0]
+        return self._tapes[id(own)]
+
+
 @dataclass(frozen=True)
 class Bars:
     """Derivatives of some measures (n x ..) by states and time (nx + 1), parameters, held inputs, energies through pairs and lost
@@ -124,6 +161,11 @@ class Bars:
     pairs: Floats
     lost: Floats
     h: Floats
+
+    @property
+    def all(self) -> tuple[Floats, ...]:
+        """They one after the other."""
+        return self.x, self.p, self.u, self.pairs, self.lost, self.h
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,1 @@
+"""The way back over a run: its stretches as they were taken, and bars that go back over them."""
