@@ -40,7 +40,8 @@ class UnitInterface:
     which ports take inputs; empty without such inputs. `impulses`: inputs of which impulses are taken, in the order of the
     matrix `jump`. `taken`, `sent`: signal -> its names at the nodes of a step. `serialises`: its saved states may
     become bytes. `one_step`: it says that all of its steps have to be equal; `one_instance`: a process can have one of it;
-    `tool`: it needs a tool of its maker. `event_mode`, `early_return`: it has an Event Mode, and may end steps early, where an importer allows that; `clocks`: how many it has.
+    `tool`: it needs a tool of its maker. `event_mode`, `early_return`: it has an Event Mode, and may end steps early, where an
+    importer allows that; `clocks`: how many it has.
     """
 
     version: str
