@@ -31,7 +31,7 @@ RUNS = {
 APART = {
     "units": ("oscillator", "--coupling", "newton", "--stop", "20", "--engine", "fmu"),
     "in turn": ("oscillator", "--coupling", "gauss-seidel", "--stop", "40"),
-    "switches": ("rectifier", "--coupling", "newton", "--order", "4", "--stop", "0.2"),
+    "switches apart": ("rectifier", "--coupling", "newton", "--order", "4", "--stop", "0.2"),
     "one unit": ("pendulum", "--stop", "100", "--engine", "fmu", "--fmi", "2.0"),
 }
 
