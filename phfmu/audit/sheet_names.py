@@ -16,6 +16,6 @@ UNITS = {
     "MWh": 3.6e9,
 }
 #: tables that can be asked for
-KINDS = tuple(kind.value for kind in RowKind if kind is not RowKind.NETWORK)
+KINDS = tuple(kind.value for kind in RowKind if kind not in (RowKind.NETWORK, RowKind.HASH))
 #: rows of a table that are printed unless all are asked for
 ROWS = 24

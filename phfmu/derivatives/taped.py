@@ -105,12 +105,8 @@ class TapedSteps(DerivedSteps):
         self, found: LandedSteps, steps: Steps | None, row: tuple[StepEvent, Array] | None
     ) -> tuple[Steps | None, tuple[StepEvent, Array] | None]:
         part, e, layout = found.part, found.part.happened, self.instance.layout
-<<<<<<< HEAD
         leg = self._leg(self.calls[-1], part.t, part.h, found.u, found.p)
-=======
-        leg = self._leg(self._calls[-1], part.t, part.h, found.u, found.p)
         leg.mode = found.mode
->>>>>>> back
         leg.end, a = found.x, np.zeros((0, self.model.step.na))
         if len(part.t):
             leg.end, a = (part.rows["signals"][:, layout[block]].copy() for block in ("x", "a_end"))

@@ -116,7 +116,7 @@ def _run(stepper: Stepper, options: Options, events: Callable[..., Iterator[Even
 
 def _hash_states(stepper: Stepper, book: Book, march: Any, options: Options) -> None:
     """Has hashes of states written to the audit; ValueError where there is no file for them."""
-    if options.sink is None:
+    if not hasattr(options.sink, "write_states"):
         raise ValueError(f"--hash-states {options.hash_states} writes to the audit; give --audit FILE, or leave it out")
     from phfmu.runs.state_hashes import StateHashes
 

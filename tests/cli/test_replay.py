@@ -106,6 +106,7 @@ def test_a_turned_bit_is_found_at_its_step(engine: str, cli: Cli, monkeypatch: p
         (["two_machine", "--stop", "0.02", "--coupling", "newton"], "m1"),
         (["two_machine", "--stop", "0.02", "--coupling", "newton", "--order", "4"], "m2"),
         (["two_machine", "--stop", "0.02", "--coupling", "newton"], "line"),
+        (["two_machine", "--stop", "0.02", "--coupling", "newton", "--hash-states", "1"], "m2"),
         (["m.py:joined", "--stop", "2", "--step", "0.01", "--coupling", "jacobi"], "m"),
         (["m.py:joined", "--stop", "2", "--step", "0.01", "--coupling", "jacobi"], "s"),
         (["m.py:joined", "--stop", "2", "--step", "0.01", "--coupling", "newton", "--engine", "python"], "s"),

@@ -89,13 +89,14 @@ RUNS = {
     "newton": "oscillator --coupling newton --stop 1",
     "anderson": "two_machine --coupling anderson --stop 0.02",
     "gauss-seidel, a sequence": "oscillator --coupling gauss-seidel --sequence mass1,spring12,mass2 --stop 1",
-    "state events": "two_point_control --coupling newton --order 4 --stop 3",
+    "state events": "buffer --coupling newton --order 4 --stop 1",
     "switches": "rectifier --coupling newton --order 4 --stop 0.02",
     "units, FMI 3.0": "oscillator --coupling newton --stop 0.5 --engine fmu --order 4",
     "one unit": "pendulum --stop 0.5 --engine fmu",
 }
 MORE = {
     "events of time": "two_machine --coupling newton --order 4 --stop 0.11 --step 1e-3",
+    "state events inside steps": "two_point_control --coupling newton --order 4 --stop 3",
     "jacobi": "oscillator --coupling jacobi --stop 0.5 --step 1e-3",
     "order 6": "two_machine --coupling newton --order 6 --stop 0.02",
     "size of steps by energy": "oscillator --coupling jacobi --stop 0.2 --ecco 1e-3",
@@ -105,13 +106,12 @@ MORE = {
     "signals held": "speed_control --coupling gauss-seidel --stop 2",
     "signals held, newton": "island --coupling newton --stop 0.004 --engine fmu",
     "signals at nodes": "speed_control --coupling newton --order 4 --stop 2",
-    "signals, switches": "buck --coupling newton --stop 0.0002",
+    "signals, switches": "buck --coupling newton --stop 0.001",
     "python": "oscillator --coupling newton --stop 1 --engine python",
     "halved": "oscillator --coupling newton --stop 0.5 --unconverged halve",
     "units, FMI 2.0": "oscillator --coupling anderson --stop 0.5 --engine fmu --fmi 2.0",
     "units in turn": "oscillator --coupling gauss-seidel --stop 1 --engine fmu",
     "units in turn, FMI 2.0": "oscillator --coupling jacobi --step 1e-3 --stop 0.1 --engine fmu --fmi 2.0",
-    "units of their own process": "oscillator --coupling newton --stop 0.5 --engine fmu --isolate",
     "one unit with events": "bouncing_ball --stop 0.7 --engine fmu",
     "one unit, FMI 2.0": "pendulum --stop 0.5 --engine fmu --fmi 2.0",
     "one member is a unit": "oscillator --coupling newton --stop 0.5 --member spring12=fmu",
@@ -156,13 +156,16 @@ def test_units_of_another_tool_go_on(coupling: str, tmp_path: Path, monkeypatch:
     require_equal(was, now)
 
 
-@pytest.mark.parametrize("version", ["2.0", "3.0"])
-def test_one_unit_of_another_tool_goes_on(version: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(("version", "isolate"), [("2.0", None), ("3.0", None), ("3.0", 30.0)])
+def test_one_unit_of_another_tool_goes_on(
+    version: str, isolate: float | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also in a process of its own."""
     able = f'canSerializeFMU{"s" if version == "2.0" else "S"}tate="true"'
     path = foreign.mass(tmp_path / "unit.fmu", version, abilities=able)
 
     def run_of(ending: Ending) -> Result:
-        stepper = FMUStepper(FMUInstance(path, starts={"k": 4.0, "q": 1.0}, start=0.0))
+        stepper = FMUStepper(FMUInstance(path, starts={"k": 4.0, "q": 1.0}, start=0.0, isolate=isolate))
         return run(stepper, Options(stop=1.0, step=0.02, checkpoints=ending))
 
     was = run_of(Ending(None))

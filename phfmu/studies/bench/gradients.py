@@ -136,16 +136,9 @@ def long_run(name: str = "smib", order: int = 2, steps: int = LONG) -> Memory:
     stretch = 4096
     for first in range(0, steps, stretch):
         taped.advance(0.0, h, min(stretch, steps - first), first)
-<<<<<<< HEAD
     taped.take_again(taped.calls[0])
     kept = sum(len(call.state) for call in taped.calls) + taped.calls[0].kept
     again = cpu_seconds(lambda: [taped.take_again(call) for call in taped.calls[:8]]) * len(taped.calls) / 8
-=======
-    calls = [leg.call for leg in taped.legs]
-    taped.take_again(calls[0])
-    kept = sum(len(call.state) for call in calls) + calls[0].kept
-    again = cpu_seconds(lambda: [taped.take_again(call) for call in calls[:8]]) * len(calls) / 8
->>>>>>> back
     last = np.eye(1, steps + 1, steps)[0]
     return Memory(steps, kept, forward, again, cpu_seconds(lambda: taped.slopes([{"energy.dissipated": last}])))
 
