@@ -62,8 +62,9 @@ def inrush(phase: float = -pi / 2.0, *, residual: float = 0.0) -> Scene:
 def ferroresonance(phase: float = -pi / 2.0, *, flux0: float = 0.0) -> Scene:
     """One phase of an unloaded transformer of 1 MVA, 20 kV, that only the capacitance to an open conductor feeds.
 
-    In series with its iron the capacitor of 0.3 uF has two steady states: one of 0.8 times the voltage of the grid, and one of
-    about twice, which saturates the iron. The instant of the switching decides between them.
+    In series with its iron the capacitor of 0.3 uF moves in one of two ways: as a sine of 0.8 times the voltage of the grid, or with
+    pulses that saturate the iron, repeat after several cycles only and reach more than twice that voltage. The instant of the
+    switching decides between them.
 
     Arguments: phase [rad] of the voltage at the start; at -pi/2 it rises through zero.  flux0 [1]: of the core at the start, as a
     part of the rated peak.
@@ -72,7 +73,7 @@ def ferroresonance(phase: float = -pi / 2.0, *, flux0: float = 0.0) -> Scene:
     peak, rated = sqrt(2.0) * V, sqrt(2.0) * S / V
     rated_flux = peak / (100.0 * pi)
     iron = MagnetisationCurve(IRON.points, 0.3).scaled(rated_flux, rated)
-    net = Network("ferroresonance", description="a capacitor in series with saturating iron: two steady states")
+    net = Network("ferroresonance", description="a capacitor in series with saturating iron")
     net.add("grid", thevenin_source(V, 20e6, x_r=2.0, angle=phase, rated=rated, phases=1))
     net.add("cable", rlc_load(None, None, 0.2e-6, nominal=peak, phases=1))
     net.add("open", series_compensated_line(50.0, 0.2, 0.3e-6, v=peak, rated=1.0, phases=1))

@@ -127,14 +127,14 @@ def test_ferroresonance_converges_to_its_circuit(order, h):
     assert orders(errors)[0] == pytest.approx(order, abs=0.5), errors
 
 
-def test_ferroresonance_has_two_steady_states():
-    """The instant of the switching decides: the voltage of the core is below or far above that of the grid."""
+def test_the_instant_of_the_switching_decides_on_ferroresonance():
+    """The voltage of the core stays below that of the grid, or far above."""
     peaks = []
     for phase in (0.0, -np.pi / 2):
         scene = ferroresonance(phase)
         result = monolithic(scene, scene.step, scene.stop, 1)
         assert closed(result, 1e-12)
-        peaks.append(np.abs(result.column("stray.v")[result.time > 0.28]).max() / iron.PEAK)
+        peaks.append(np.abs(result.column("stray.v")[result.time > 0.2]).max() / iron.PEAK)
     assert peaks[0] < 0.9 and peaks[1] > 1.8
 
 

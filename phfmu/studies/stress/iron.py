@@ -22,11 +22,11 @@ def _declared(name: str, **arguments: Any) -> Any:
 
 
 def resonance(phase: float, least: float, most: float, h: float = 2e-5, order: int = 2) -> Outcome:
-    """The voltage of the core over the last cycle of 0.3 s, as a part of the source's, between `least` and `most`."""
+    """The voltage of the core over the last third of 0.3 s, as a part of the source's, between `least` and `most`."""
     d = _declared("ferroresonance", phase=phase)
     r = record(instance(d, order), h, round(0.3 / h))
     names = [n for v in d.states for n in v.names()]
-    last = r.x[-round(0.02 / h) :, names.index("stray.charge")] / 0.1e-6
+    last = r.x[-round(0.1 / h) :, names.index("stray.charge")] / 0.1e-6
     found = float(np.abs(last).max()) / PEAK
     text = f"{found:.2f} times the voltage of the source; {r.iterations:.1f} iterations a step; balance {r.balance:.1e}"
     return Outcome(text, least < found < most and r.balance <= 1e-11)
