@@ -62,7 +62,7 @@ def inrush(phase: float = -pi / 2.0, *, residual: float = 0.0) -> Scene:
 def ferroresonance(phase: float = -pi / 2.0, *, flux0: float = 0.0) -> Scene:
     """One phase of an unloaded transformer of 1 MVA, 20 kV, that only the capacitance to an open conductor feeds.
 
-    In series with its iron the capacitor of 0.3 uF moves in one of two ways: as a sine of 0.8 times the voltage of the grid, or with
+    In series with its iron the capacitor of 0.3 uF moves in one of two ways: a sine of 0.8 times the voltage of the grid, or
     pulses that saturate the iron, repeat after several cycles only and reach more than twice that voltage. The instant of the
     switching decides between them.
 
