@@ -119,6 +119,7 @@ LIBRARY: dict[str, tuple[str, str, str]] = {
     "breaker_opening": ("scene", _S + "breaker_opening", "grid, breaker, load: opened at its current zeros"),
     "short_circuit": ("scene", _S + "network_events", "fault of any kind at the end of a feeder"),
     "inrush": ("scene", _S + "network_events", "a transformer is energised: its iron saturates"),
+    "ferroresonance": ("scene", _S + "network_events", "a capacitor in series with saturating iron"),
     "rectifier": ("scene", _S + "rectifier", "single-phase diode bridge with overlap"),
     "six_pulse": ("scene", _S + "rectifier", "three-phase diode bridge with overlap"),
     "buck": ("scene", _S + "buck", "step-down converter: chopper, diode, filter; duty step"),

@@ -9,7 +9,7 @@ from phfmu.components.scenes.drive import drive
 from phfmu.components.scenes.island import island, smib_exciter
 from phfmu.components.scenes.ladder import ladder
 from phfmu.components.scenes.motor_start import motor_start
-from phfmu.components.scenes.network_events import inrush, short_circuit
+from phfmu.components.scenes.network_events import ferroresonance, inrush, short_circuit
 from phfmu.components.scenes.oscillator import oscillator
 from phfmu.components.scenes.rectifier import rectifier, six_pulse
 from phfmu.components.scenes.single_machine import lossless, spin_down, stall_start
@@ -28,6 +28,7 @@ __all__ = [
     "buffer",
     "clutch_engagement",
     "drive",
+    "ferroresonance",
     "hard_stop",
     "inrush",
     "island",

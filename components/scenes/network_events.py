@@ -1,4 +1,4 @@
-"""What networks are asked for first: short circuits of any kind, and the inrush of a transformer."""
+"""What networks are asked for first: short circuits of any kind, and iron that saturates: inrush and ferroresonance."""
 
 from __future__ import annotations
 
@@ -6,12 +6,13 @@ from math import pi, sqrt
 
 from phfmu import Network, Scene
 from phfmu.components.electrical.infinite_bus import infinite_bus
-from phfmu.components.electrical.network.lines import coupled_line
+from phfmu.components.electrical.network.lines import coupled_line, series_compensated_line
 from phfmu.components.electrical.network.loads import load, shunt
-from phfmu.components.electrical.network.saturation import MagnetisationCurve
+from phfmu.components.electrical.network.saturation import MagnetisationCurve, saturating_reactor
 from phfmu.components.electrical.network.shunts import fault, fault_events
 from phfmu.components.electrical.network.thevenin import thevenin_source
 from phfmu.components.electrical.network.transformers import two_winding_transformer
+from phfmu.components.electrical.rlc_load import rlc_load
 from phfmu.operating import operating_point
 
 #: flux and current of transformer iron as parts of the rated peaks: knee at 1.15, then nearly as air
@@ -56,3 +57,28 @@ def inrush(phase: float = -pi / 2.0, *, residual: float = 0.0) -> Scene:
     net.junction("high", ["cable.b", "charging.terminal", "unit.a"])
     net.junction("low", ["unit.b", "load.terminal"])
     return Scene("inrush", net, 0.2, 1e-4, (), net.description)
+
+
+def ferroresonance(phase: float = -pi / 2.0, *, flux0: float = 0.0) -> Scene:
+    """One phase of an unloaded transformer of 1 MVA, 20 kV, that only the capacitance to an open conductor feeds.
+
+    In series with its iron the capacitor of 0.3 uF moves in one of two ways: a sine of 0.8 times the voltage of the grid, or
+    pulses that saturate the iron, repeat after several cycles only and reach more than twice that voltage. The instant of the
+    switching decides between them.
+
+    Arguments: phase [rad] of the voltage at the start; at -pi/2 it rises through zero.  flux0 [1]: of the core at the start, as a
+    part of the rated peak.
+    """
+    V, S = 20e3 / sqrt(3.0), 1e6 / 3.0
+    peak, rated = sqrt(2.0) * V, sqrt(2.0) * S / V
+    rated_flux = peak / (100.0 * pi)
+    iron = MagnetisationCurve(IRON.points, 0.3).scaled(rated_flux, rated)
+    net = Network("ferroresonance", description="a capacitor in series with saturating iron")
+    net.add("grid", thevenin_source(V, 20e6, x_r=2.0, angle=phase, rated=rated, phases=1))
+    net.add("cable", rlc_load(None, None, 0.2e-6, nominal=peak, phases=1))
+    net.add("open", series_compensated_line(50.0, 0.2, 0.3e-6, v=peak, rated=1.0, phases=1))
+    net.add("stray", rlc_load(400e3, None, 0.1e-6, nominal=peak, phases=1))
+    net.add("iron", saturating_reactor(iron.points, 1.0, rounding=iron.rounding, v=peak, flux0=flux0 * rated_flux))
+    net.junction("bus", ["grid.terminal", "cable.terminal", "open.a"])
+    net.junction("core", ["open.b", "stray.terminal", "iron.terminal"])
+    return Scene("ferroresonance", net, 0.3, 2e-5, (), net.description)

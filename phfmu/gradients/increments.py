@@ -53,6 +53,8 @@ def _unary(op: int, a: ca.SX, a1: ca.SX, d: ca.SX, f: ca.SX, f1: ca.SX) -> ca.SX
         return quotient(d, f + f1, ca.SX(0))
     if op == ca.OP_LOG:
         return ca.log1p(d / a)
+    if op == ca.OP_LOG1P:
+        return ca.log1p(d / (1 + a))
     s = ca.SX.sym("s")
     slope = ca.gradient(operation(op, [s]), s)
     total = sum((w * ca.substitute(slope, s, a + t * d) for t, w in zip(*gauss(4), strict=True)), ca.SX(0))

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
+import casadi as ca
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -61,6 +64,26 @@ def test_the_curve_meets_its_points_and_rises_everywhere():
     fluxes = np.linspace(-3.0, 3.0, 301)
     values = np.array([rough.current(f) for f in fluxes])
     assert values == pytest.approx(current(fluxes), abs=1e-12) and (np.diff(values) > 0).all()
+
+
+@pytest.mark.parametrize("rounding", [0.05, 1.0])
+def test_current_and_energy_of_a_curve_keep_their_digits_at_every_flux(rounding):
+    """Against the formulas of the documentation with 40 digits, also where H is a square of what rounds."""
+    mp = pytest.importorskip("mpmath")
+    curve, every = MagnetisationCurve(POINTS, rounding), [(mp.mpf(0), mp.mpf(0)), *POINTS]
+    f = [mp.mpf(x) for x, _ in every]
+    with mp.workdps(40):
+        g = [(mp.mpf(i1) - i) / (mp.mpf(f1) - f0) for (f0, i), (f1, i1) in pairwise(every)]
+        w = rounding * min(mp.mpf(b) - a for (a, _), (b, _) in pairwise(every))
+        s = lambda x: (x + mp.sqrt(x**2 + w**2)) / 2  # noqa: E731
+        S = lambda x: (x**2 + x * mp.sqrt(x**2 + w**2) + w**2 * mp.asinh(x / w)) / 4  # noqa: E731
+        for flux in (1e-9, -1e-3, 0.4, 1.0, 1.25, -3.0, 20.0):
+            bends = list(zip(g, g[1:], f[1:], strict=False))
+            i = g[0] * flux + sum((b - a) * (s(flux - c) - s(-flux - c)) for a, b, c in bends)
+            H = g[0] * mp.mpf(flux) ** 2 / 2
+            H += sum((b - a) * (S(flux - c) + S(-flux - c) - 2 * S(-c)) for a, b, c in bends)
+            assert float(curve.current(flux)) == pytest.approx(float(i), rel=1e-13)
+            assert float(ca.DM(curve.energy(flux))) == pytest.approx(float(H), rel=1e-13)
 
 
 @pytest.mark.parametrize("points", [(), ((1.0, 0.1), (1.0, 0.2)), ((1.0, 0.3), (1.2, 0.2)), ((0.0, 0.1),)])

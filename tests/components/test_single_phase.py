@@ -29,6 +29,8 @@ from phfmu.components.electrical import (
     thevenin_source,
     two_winding_transformer,
 )
+from phfmu.components.scenes.network_events import ferroresonance
+from phfmu.studies.stress import iron
 from tests.components.orders import orders
 from tests.components.test_network_shunts import current
 from tests.components.test_scenes import closed, monolithic
@@ -108,6 +110,32 @@ def test_a_feeder_of_one_phase_converges_to_its_equations(k, n):
     found = [error(k, m) for m in (n, 2 * n)]
     assert found[1] < {1: 2e-2, 2: 1e-3, 3: 1e-4}[k]
     assert orders(found)[0] == pytest.approx(2 * k, abs=0.4), found
+
+
+@pytest.mark.parametrize(("order", "h"), [(2, 1e-5), (4, 4e-5), (6, 8e-5)])
+def test_ferroresonance_converges_to_its_circuit(order, h):
+    """The flux after 30 ms against DOP853 in currents and voltages."""
+    ends = []
+    for step in (h, h / 2):
+        plan = build_model(ferroresonance().declaration(), Collocated(order // 2))
+        unit = NativeInstance(plan)
+        unit.run(0.0, step, round(0.03 / step), ())
+        names = [s for v in plan.declaration.states for s in v.names()]
+        ends.append(unit.x[names.index("iron.flux")])
+    exact = solve_ivp(iron.rates(-np.pi / 2), (0.0, 0.03), np.zeros(6), "DOP853", rtol=1e-12, atol=1e-10).y[-1, -1]
+    errors = [abs(x - exact) for x in ends]
+    assert orders(errors)[0] == pytest.approx(order, abs=0.5), errors
+
+
+def test_the_instant_of_the_switching_decides_on_ferroresonance():
+    """The voltage of the core stays below that of the grid, or far above."""
+    peaks = []
+    for phase in (0.0, -np.pi / 2):
+        scene = ferroresonance(phase)
+        result = monolithic(scene, scene.step, scene.stop, 1)
+        assert closed(result, 1e-12)
+        peaks.append(np.abs(result.column("stray.v")[result.time > 0.2]).max() / iron.PEAK)
+    assert peaks[0] < 0.9 and peaks[1] > 1.8
 
 
 # -- every part ------------------------------------------------------------------------------------------------------------

@@ -261,3 +261,11 @@ def test_directionality_does_not_depend_on_the_units(form: str, unit: float) -> 
             work = sum(Decimal(float(w)) * (v1 - v0) for w, v0, v1 in zip(force, p, q, strict=True))
             pulled = float(np.linalg.norm(force) * np.linalg.norm(b - a)) + 500 * unit * length * 1e-3 * size
             assert abs(float(work - (ends[1] - ends[0]))) <= 1e-13 * pulled
+
+
+def test_the_difference_of_a_logarithm_near_its_pole_keeps_its_digits():
+    """log1p(b) - log1p(a) = log1p((b - a)/(1 + a)): near -1 the slope changes within steps that are short beside 1."""
+    x, d = ca.SX.sym("x"), ca.SX.sym("d")
+    change = ca.Function("change", [x, d], [gradients.difference(ca.log1p(x), x, d)])
+    for a, step in ((-1 + 2.0**-20, 2.0**-12), (-1 + 2.0**-10, 2.0**-30), (0.5, 2.0**-40)):
+        assert float(change(a, step)) == pytest.approx(np.log1p(step / (1 + a)), rel=1e-14)

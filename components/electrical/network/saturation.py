@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from math import hypot
 from typing import Any
 
 import casadi as ca
@@ -48,17 +49,12 @@ class MagnetisationCurve:
     def energy(self, flux: Any) -> ca.SX:
         """H(flux), a scalar expression, 0 at 0."""
         first, corners, w = self._corners
-        stored = first * flux**2 / 2
-        for corner, more in corners:
-            rise = sum(_rounded(sign * flux - corner, w) for sign in (1, -1)) - 2 * _rounded(ca.SX(-corner), w)
-            stored += more * rise
-        return stored
+        return first * flux**2 / 2 + sum(more * _rounded(flux, corner, w) for corner, more in corners)
 
     def current(self, flux: Any) -> Any:
         """i(flux), of a number or an expression."""
         first, corners, w = self._corners
-        s = lambda x: (x + ca.sqrt(x**2 + w**2)) / 2  # noqa: E731
-        return first * flux + sum(more * (s(flux - corner) - s(-flux - corner)) for corner, more in corners)
+        return first * flux + sum(more * _bent(flux, corner, w) for corner, more in corners)
 
     @property
     def _corners(self) -> tuple[float, list[tuple[float, float]], float]:
@@ -69,10 +65,32 @@ class MagnetisationCurve:
         return slopes[0], added, self.rounding * min(f1 - f for (f, _), (f1, _) in pairwise(every))
 
 
-def _rounded(x: Any, w: float) -> Any:
-    """Integral of (x + sqrt(x^2 + w^2))/2."""
-    root = ca.sqrt(x**2 + w**2)
-    return (x**2 + x * root + w**2 * ca.asinh(x / w)) / 4
+def _excess(x: Any, w: float) -> Any:
+    """sqrt(x^2 + w^2) - x, without cancellation for any sign of x."""
+    return w * ca.exp(-ca.asinh(x / w))
+
+
+def _bent(f: Any, c: float, w: float) -> Any:
+    """s(f - c) - s(-f - c) with s(x) = (x + sqrt(x^2 + w^2))/2, a multiple of f, so that its digits hold for small f."""
+    e = _excess(c - f, w) + _excess(c + f, w)
+    return f * e / (e + 2 * c)
+
+
+def _rounded(f: Any, c: float, w: float) -> Any:
+    """The integral of `_bent` from 0 to f, f^2 times a smooth function whose terms are as small as w^2/c^2 where f < c.
+
+    With r = sqrt(c^2 + w^2), both roots r_1 + r_2 = u = 2 c + e at c - f and c + f, and d = (r_1 + r)(r_2 + r):
+
+    4 integral = 2 f^2 e/u - c (u - 2 r) - w^2 (asinh((c - f)/w) + asinh((c + f)/w) - 2 asinh(c/w)),
+    u - 2 r = f^2 (e (u + 2 c + 2 r) + 4 c (r - c))/(u d);  the last bracket is log(1 + f^2 k).
+    """
+    below, above = _excess(c - f, w), _excess(c + f, w)
+    r, e = hypot(c, w), below + above
+    u, left, right = e + 2 * c, below + c - f + r, above + c + f + r
+    spread = (e * (u + 2 * c + 2 * r) + 4 * c * w**2 / (r + c)) / (u * left * right)
+    shifts = (f - 2 * c - left) / left * ((f + 2 * c + right) / right)
+    logarithm = ca.log1p(f**2 * ((c + r) * spread + shifts) / (c + r) ** 2)
+    return (f**2 * (2 * e / u - c * spread) - w**2 * logarithm) / 4
 
 
 def saturating_reactor(

@@ -7,6 +7,7 @@ from phfmu.studies.stress import (
     couplings,
     crash,
     events,
+    iron,
     linkage,
     machine,
     near,
@@ -27,7 +28,7 @@ def cases(target: str | None) -> list[Case]:
 
     own = [
         c
-        for module in (particles, linkage, redundant, coupled, couplings, near, crash, units, machine, events)
+        for module in (particles, linkage, redundant, coupled, couplings, near, crash, units, machine, iron, events)
         for c in module.CASES
     ]
     if target is None:
