@@ -79,7 +79,7 @@ def relative(one, two, names, least=0.0):
     return worst
 
 
-#: its multipliers are small differences of the forces of stiff springs and dampers, which Newton's method rounds
+#: multipliers of flyball are small differences of the forces of stiff springs and dampers, which Newton's method rounds
 #: the arm falls without friction, and turns over: forces in its joints part sooner than its motion
 FAR = {"flyball": 1e-5, "ur5": 1e-10}
 MECHANISMS = ("pendulum", "four_bar", "andrews", "bricard", "flyball", "slider_crank", "rope_bridge", "gear_train")
