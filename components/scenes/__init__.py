@@ -6,12 +6,14 @@ from phfmu.components.scenes.breaker_opening import breaker_opening
 from phfmu.components.scenes.buck import buck
 from phfmu.components.scenes.clutch_engagement import clutch_engagement
 from phfmu.components.scenes.drive import drive
+from phfmu.components.scenes.engine import engine
 from phfmu.components.scenes.island import island, smib_exciter
 from phfmu.components.scenes.ladder import ladder
 from phfmu.components.scenes.motor_start import motor_start
 from phfmu.components.scenes.network_events import ferroresonance, inrush, short_circuit
 from phfmu.components.scenes.oscillator import oscillator
 from phfmu.components.scenes.rectifier import rectifier, six_pulse
+from phfmu.components.scenes.robot_arm import robot_arm
 from phfmu.components.scenes.single_machine import lossless, spin_down, stall_start
 from phfmu.components.scenes.smib import smib, smib_breaker, smib_folded, smib_hydro
 from phfmu.components.scenes.speed_control import speed_control
@@ -29,6 +31,7 @@ __all__ = [
     "clutch_engagement",
     "drive",
     "ferroresonance",
+    "engine",
     "hard_stop",
     "inrush",
     "island",
@@ -37,6 +40,7 @@ __all__ = [
     "motor_start",
     "oscillator",
     "rectifier",
+    "robot_arm",
     "short_circuit",
     "six_pulse",
     "smib",
