@@ -14,6 +14,7 @@ import pytest
 from phfmu.audit.difference import first_differences
 from phfmu.audit.log.archive import read
 from tests.cli.commands import Cli
+from tests.wide import wide
 
 #: equal steps; state events and damping; steps within a tolerance; the same with events; switches; interpreted in Python
 RUNS = {
@@ -69,7 +70,7 @@ def require_equal(was: Path, now: Path, table: str) -> None:
     assert not (now / table).with_suffix(".checkpoint").exists()
 
 
-@pytest.mark.parametrize("name", [*RUNS, *(pytest.param(name, marks=pytest.mark.slow) for name in APART)])
+@pytest.mark.parametrize("name", wide([*RUNS, *APART], "equal"))
 def test_a_killed_run_goes_on_to_the_same_bits(name: str, tmp_path: Path) -> None:
     """Each kind of march, killed twice at random, with the table as CSV or Parquet."""
     run, table = (RUNS | APART)[name], "t.parquet" if name == "equal" else "t.csv"
