@@ -173,16 +173,21 @@ def test_parameters_are_held_and_rows_closer_than_steps_are_told() -> None:
 
 @pytest.mark.parametrize("kind", ["held", "linear", "cubic"])
 def test_twenty_thousand_rows_cost_a_fraction_of_a_second(compiler: None, kind: str) -> None:
-    """Processor time beyond the run, which steps 2e4 times at the rows; it is 0.2 s on a machine of its own."""
-    t = 1e-3 * np.arange(20_001)
+    """Processor time beyond the run, which steps 2e4 times at the rows; it is 0.2 s on a machine of its own.
+
+    The least of three: others that the process holds are looked through by the garbage collector, which only adds.
+    """
+    t, taken = 1e-3 * np.arange(20_001), list[float]()
     model = build_model(oscillator(), Collocated(2))
     whole, o = Monolithic(model, NativeInstance(model)), Options(stop=20.0, step=1e-3)
     run(whole, o)
-    begun = process_time()
-    run(whole, o)
-    plain = process_time()
-    run(whole, o, inputs=table(t, np.sin), interpolate=kind)
-    assert process_time() - plain - (plain - begun) < 0.8
+    for _ in range(3):
+        begun = process_time()
+        run(whole, o)
+        plain = process_time()
+        run(whole, o, inputs=table(t, np.sin), interpolate=kind)
+        taken.append(process_time() - plain - (plain - begun))
+    assert min(taken) < 0.8
 
 
 @pytest.mark.parametrize("suffix", ["csv", "parquet"])
