@@ -8,13 +8,13 @@ import sys
 import time
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from phfmu.audit.difference import first_differences
 from phfmu.audit.log.archive import read
 from tests.cli.commands import Cli
-from tests.wide import wide
 
 #: equal steps; state events and damping; steps within a tolerance; the same with events; switches; interpreted in Python
 RUNS = {
@@ -70,7 +70,16 @@ def require_equal(was: Path, now: Path, table: str) -> None:
     assert not (now / table).with_suffix(".checkpoint").exists()
 
 
-@pytest.mark.parametrize("name", wide([*RUNS, *APART], "equal"))
+#: beside the first one those that carry most; all others are long
+SLOW = ("events within a tolerance", "members apart, hashes", "units", "switches apart")
+
+
+def tiers() -> list[Any]:
+    marked = [(n, pytest.mark.slow if n in SLOW else pytest.mark.long) for n in [*RUNS, *APART] if n != "equal"]
+    return ["equal", *(pytest.param(name, marks=mark) for name, mark in marked)]
+
+
+@pytest.mark.parametrize("name", tiers())
 def test_a_killed_run_goes_on_to_the_same_bits(name: str, tmp_path: Path) -> None:
     """Each kind of march, killed twice at random, with the table as CSV or Parquet."""
     run, table = (RUNS | APART)[name], "t.parquet" if name == "equal" else "t.csv"
@@ -81,13 +90,13 @@ def test_a_killed_run_goes_on_to_the_same_bits(name: str, tmp_path: Path) -> Non
     require_equal(was, now, table)
 
 
-@pytest.mark.slow
-def test_many_kills_at_random(tmp_path: Path) -> None:
+@pytest.mark.long
+def test_a_hundred_kills_at_random(tmp_path: Path) -> None:
     chance, done, was = random.Random(1), 0, tmp_path / "was"
     was.mkdir()
     run = ("buffer", "--stop", "300", "--restart", "2")
     subprocess.run(command(was, run, "t.csv"), check=True)
-    while done < 30:
+    while done < 100:
         now = tmp_path / f"now{done}"
         now.mkdir()
         done += killed(now, run, "t.csv", chance, 5)
