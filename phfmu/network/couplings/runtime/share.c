@@ -92,8 +92,11 @@ void ph_share_add_rows(ph_master *m, const ph_share *s, double h, double *throug
         for (int j = 0; j < s->nu; j++) {
             const double y = s->outputs[i * s->stride + j];
             s->y[i * s->nu + j] = y;
-            *through += fabs(h) * s->weights[i] * fabs(s->u[i * s->nu + j]) * fabs(y);
         }
+    for (int d = 0; d < s->ninput; d++) { /* those that junctions feed, not what comes from outside */
+        const int at = s->input[d];
+        *through += fabs(h) * s->weights[at / s->nu] * fabs(s->u[at]) * fabs(s->y[at]);
+    }
     for (int e = 0; e < s->nleft; e++) {
         const int i = s->left_output[e], r = s->row[s->left_row[e]];
         const double y = i < kn ? s->y[i] : s->end[i - kn];
