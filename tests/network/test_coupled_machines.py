@@ -206,7 +206,7 @@ def test_the_energy_of_a_rotor_does_not_excuse_what_a_junction_creates(stop: flo
     members = [EngineMember(name, m, NativeInstance(m)) for name, m in models.items()]
     result = run(Coupled(scene.system, members, Anderson()), Options(stop=stop, step=1e-4, events=scene.events))
     assert result.ledger.summary().closed, result.ledger.summary().worst
-    assert result.iterations / result.steps <= 6.0
+    assert result.iterations / result.steps <= 8.0
 
 
 def test_an_isolated_neutral_gets_no_impulses_composed_and_apart() -> None:

@@ -53,6 +53,7 @@ STEADY = {"speed_control"}
 SCENES = [n for n, (kind, *_) in LIBRARY.items() if kind == "scene"]
 #: nodes where only inductive branches meet: no output gives their voltage at an instant
 BARE = {
+    "engine",
     "smib",
     "smib_hydro",
     "two_machine",
