@@ -53,10 +53,9 @@ def test_columns_are_the_differences_of_runs(name: str, order: int) -> None:
     assert bad == {}
 
 
-#: scenes of fewer than a hundred members
-SCENES = [
-    n for n, (kind, *_) in LIBRARY.items() if kind == "scene" and n not in ("wecc240", "grid", "ieee39", "new_england")
-]
+#: scenes of a hundred members and more; mechanisms whose start is assembled, which does not fit other parameters
+LEFT_OUT = ("wecc240", "grid", "ieee39", "new_england", "engine", "robot_arm")
+SCENES = [n for n, (kind, *_) in LIBRARY.items() if kind == "scene" and n not in LEFT_OUT]
 
 
 @pytest.mark.slow
