@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import subprocess
 import zipfile
+from collections.abc import Iterable
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -42,17 +44,28 @@ SWITCHED = {
 RUNS = {0: ((7,), 250_000), 8: ((1, 2), 100_000)}
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("version", ["2.0", "3.0"])
-@pytest.mark.parametrize("name", MODELS)
+def some(cases: Iterable[tuple[str, str]], *telling: tuple[str, str]) -> list[Any]:
+    """Those that tell most are slow tests, the others long ones."""
+    return [pytest.param(*case, marks=pytest.mark.slow if case in telling else pytest.mark.long) for case in cases]
+
+
+@pytest.mark.parametrize(
+    ("name", "version"),
+    some(
+        product(MODELS, ("2.0", "3.0")),
+        ("dc_motor", "2.0"),
+        ("bouncing_ball", "3.0"),
+        ("four_particle", "3.0"),
+        ("rectifier", "2.0"),
+    ),
+)
 def test_calls_without_rules(sanitizers: str, tmp_path: Path, name: str, version: str) -> None:
     accepted = called(sanitizers, tmp_path, (name, version), MODELS[name])
     idle = [kind for kind, n in accepted.items() if n == 0 and not (kind == "others" and version == "3.0")]
     assert not idle, "each kind of call gets through now and then"
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("name", "version"), SWITCHED)
+@pytest.mark.parametrize(("name", "version"), some(SWITCHED, ("buck", "3.0")))
 def test_calls_without_rules_between_those_of_simulations(
     sanitizers: str, tmp_path: Path, name: str, version: str
 ) -> None:
@@ -61,8 +74,10 @@ def test_calls_without_rules_between_those_of_simulations(
     assert accepted["step"] > 3000, "steps get through"
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("name", "version"), [("oscillator", "2.0"), ("speed_control", "3.0"), ("smib", "2.0")])
+@pytest.mark.parametrize(
+    ("name", "version"),
+    some([("oscillator", "2.0"), ("speed_control", "3.0"), ("smib", "2.0")], ("speed_control", "3.0")),
+)
 def test_calls_without_rules_of_coupled_members(sanitizers: str, tmp_path: Path, name: str, version: str) -> None:
     scene = build(name)
     schemes = dict.fromkeys(scene.system.declared, Collocated(2))
