@@ -15,6 +15,18 @@ def wide(cases: Iterable[Any], *telling: Any) -> list[Any]:
     return [case if case in telling else slow(case) for case in every]
 
 
+def longer(cases: Iterable[Any], *telling: Any) -> list[Any]:
+    """Parameters of a test of minutes: the `telling` cases are slow ones, all others run with `-m long`."""
+    every = list(cases)
+    assert all(case in every for case in telling), f"{telling} are not all among the cases"
+    return [slow(case) if case in telling else marked(case, pytest.mark.long) for case in every]
+
+
+def marked(case: Any, mark: Any) -> Any:
+    """A case, of one parameter or a tuple of them, with a mark."""
+    return pytest.param(*(case if isinstance(case, tuple) else (case,)), marks=mark)
+
+
 def slow(case: Any) -> Any:
     """A case, of one parameter or a tuple of them, that takes long or says what others say too."""
-    return pytest.param(*(case if isinstance(case, tuple) else (case,)), marks=pytest.mark.slow)
+    return marked(case, pytest.mark.slow)

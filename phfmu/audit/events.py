@@ -1,4 +1,4 @@
-"""Events outside the steps, and their numbers."""
+"""Rows of the audit beside those of steps: events, with their numbers, and hashes of states."""
 
 from dataclasses import dataclass
 
@@ -13,6 +13,18 @@ class EventRow:
     energy_jump: float | None = None
     message: str | None = None
     lost: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class StateRow:
+    """The hash of the state at the end of a step [t0, t0 + h] in s: of a component, or of another `part` of the run."""
+
+    step: int
+    t0: float
+    h: float
+    component: str | None
+    part: str | None
+    hash: str
 
 
 class EventCount:

@@ -32,6 +32,10 @@ class Directions:
     def n(self) -> int:
         return len(self.parameters) + len(self.inputs)
 
+    def of(self, p: Array, u: Array) -> Array:
+        """What belongs to them (.. x n) of what belongs to all parameters (.. x np) and inputs (.. x nu)."""
+        return np.concatenate([p[..., list(self.parameters)], u[..., list(self.inputs)]], axis=-1)
+
 
 @dataclass(frozen=True)
 class By:
@@ -68,10 +72,10 @@ class By:
 
     def sizes(self, x: Array, u: Array, p: Array) -> Array:
         """Magnitudes of the values (names) that a run is derived by, 1 of those that are 0."""
-        found, d = np.zeros(len(self.names)), self.directions
+        found = np.zeros(len(self.names))
         for state, column in self.starts:
             found[column] = x[state]
-        found[list(self.columns)] = np.concatenate([p[list(d.parameters)], u[list(d.inputs)]])
+        found[list(self.columns)] = self.directions.of(p, u)
         return np.where(found == 0.0, 1.0, np.abs(found))
 
     def spread(self, along: Array) -> Array:

@@ -119,8 +119,7 @@ class EventMaps:
         np.add.at(a, yi[yi < na], own[yi < na])
         np.add.at(u, yi[yi >= na] - na, own[yi >= na])
         np.add.at(p, pi, by[len(xi) + len(yi) :])
-        d = self._directions
-        found = Slope(x[:nx], float(x[nx]), np.concatenate([p[list(d.parameters)], u[list(d.inputs)]]))
+        found = Slope(x[:nx], float(x[nx]), self._directions.of(p, u))
         return found if not a.any() else self._with_algebraics(found, a, at)
 
     def _with_algebraics(self, own: Slope, a: Array, at: Instant) -> Slope:
@@ -212,10 +211,10 @@ class EventMaps:
 
     def _placed(self, moved: Any, by: Array, group: Group) -> JumpSlope:
         """Derivatives by the arguments of a kernel as those by states, time and directions."""
-        nx, d, m = self._model.step.nx, self._directions, len(moved)
+        nx, m = self._model.step.nx, len(moved)
         x, p = np.zeros((m, nx + 1)), np.zeros((m, self._model.step.np))
         taken, given = group.xi[0], group.pi[0]
         np.add.at(x.T, taken, by[:, : len(taken)].T)
         np.add.at(p.T, given, by[:, by.shape[1] - len(given) :].T)
-        along = np.hstack([p[:, list(d.parameters)], np.zeros((m, len(d.inputs)))])
+        along = self._directions.of(p, np.zeros((m, self._model.step.nu)))
         return JumpSlope(np.asarray(moved, np.int32), x[:, :nx], x[:, nx], along)

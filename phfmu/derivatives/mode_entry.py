@@ -72,9 +72,8 @@ class ModeEntry:
         )
         own, given, *_ = at(push[:, 0], nothing)
         x = -_solved(own, given, self._scale)[:nx]
-        d, np_ = self._directions, len(before.p)
-        p, u = x[:, nx + 1 : nx + 1 + np_], x[:, nx + 1 + np_ :]
-        return EntrySlope(x[:, :nx], x[:, nx], np.hstack([p[:, list(d.parameters)], u[:, list(d.inputs)]]))
+        _, p, u = np.split(x, [nx + 1, nx + 1 + len(before.p)], axis=1)
+        return EntrySlope(x[:, :nx], x[:, nx], self._directions.of(p, u))
 
 
 def _solved(A: Array, b: Array, scale: Array) -> Array:

@@ -187,8 +187,7 @@ class TapedSteps(DerivedSteps):
         nx = self.model.step.nx
         xb = back.bars.x[:, :nx] + told[0][:, :nx]
         S = start_tangents_by(self.model, self.by, self._given, x, p, t)
-        d = self.by.directions
-        along = np.hstack([back.bars.p[:, list(d.parameters)], back.bars.u[:, list(d.inputs)]])
+        along = self.by.directions.of(back.bars.p, back.bars.u)
         found = xb @ S + self.by.spread(along)
         way.require_together(found[len(weights) :], self.by.sizes(x, u, p))
         return found[: len(weights)] + bars.of_inputs(self.by.names)

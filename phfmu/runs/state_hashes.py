@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from phfmu.audit.states import StateRow
+from phfmu.audit.events import StateRow
 
 if TYPE_CHECKING:
     from phfmu.network.couplings.stepper import Stepper

@@ -8,13 +8,13 @@ import sys
 import time
 import zipfile
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from phfmu.audit.difference import first_differences
 from phfmu.audit.log.archive import read
 from tests.cli.commands import Cli
+from tests.wide import longer
 
 #: equal steps; state events and damping; steps within a tolerance; the same with events; switches; interpreted in Python
 RUNS = {
@@ -74,12 +74,7 @@ def require_equal(was: Path, now: Path, table: str) -> None:
 SLOW = ("events within a tolerance", "members apart, hashes", "units", "switches apart")
 
 
-def tiers() -> list[Any]:
-    marked = [(n, pytest.mark.slow if n in SLOW else pytest.mark.long) for n in [*RUNS, *APART] if n != "equal"]
-    return ["equal", *(pytest.param(name, marks=mark) for name, mark in marked)]
-
-
-@pytest.mark.parametrize("name", tiers())
+@pytest.mark.parametrize("name", ["equal", *longer([n for n in [*RUNS, *APART] if n != "equal"], *SLOW)])
 def test_a_killed_run_goes_on_to_the_same_bits(name: str, tmp_path: Path) -> None:
     """Each kind of march, killed twice at random, with the table as CSV or Parquet."""
     run, table = (RUNS | APART)[name], "t.parquet" if name == "equal" else "t.csv"

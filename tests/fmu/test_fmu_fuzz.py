@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import subprocess
 import zipfile
-from collections.abc import Iterable
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ from phfmu.fmu.importer.archive import open_archive
 from phfmu.network.as_unit.export import export_network
 from phfmu.schemes.collocated import Collocated
 from tests.fmu.exported import SANITIZE
+from tests.wide import longer
 
 HERE = Path(__file__).parent
 #: what is called, in the order of the host
@@ -44,14 +44,9 @@ SWITCHED = {
 RUNS = {0: ((7,), 250_000), 8: ((1, 2), 100_000)}
 
 
-def some(cases: Iterable[tuple[str, str]], *telling: tuple[str, str]) -> list[Any]:
-    """Those that tell most are slow tests, the others long ones."""
-    return [pytest.param(*case, marks=pytest.mark.slow if case in telling else pytest.mark.long) for case in cases]
-
-
 @pytest.mark.parametrize(
     ("name", "version"),
-    some(
+    longer(
         product(MODELS, ("2.0", "3.0")),
         ("dc_motor", "2.0"),
         ("bouncing_ball", "3.0"),
@@ -65,7 +60,7 @@ def test_calls_without_rules(sanitizers: str, tmp_path: Path, name: str, version
     assert not idle, "each kind of call gets through now and then"
 
 
-@pytest.mark.parametrize(("name", "version"), some(SWITCHED, ("buck", "3.0")))
+@pytest.mark.parametrize(("name", "version"), longer(SWITCHED, ("buck", "3.0")))
 def test_calls_without_rules_between_those_of_simulations(
     sanitizers: str, tmp_path: Path, name: str, version: str
 ) -> None:
@@ -76,7 +71,7 @@ def test_calls_without_rules_between_those_of_simulations(
 
 @pytest.mark.parametrize(
     ("name", "version"),
-    some([("oscillator", "2.0"), ("speed_control", "3.0"), ("smib", "2.0")], ("speed_control", "3.0")),
+    longer([("oscillator", "2.0"), ("speed_control", "3.0"), ("smib", "2.0")], ("speed_control", "3.0")),
 )
 def test_calls_without_rules_of_coupled_members(sanitizers: str, tmp_path: Path, name: str, version: str) -> None:
     scene = build(name)

@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.audit.booked_steps import BookedSteps
-from phfmu.audit.events import EventRow
+from phfmu.audit.events import EventRow, StateRow
 from phfmu.audit.kinds import ColumnType, Quality, RowKind
-from phfmu.audit.states import StateRow
 
 SCHEMA_VERSION = 1
 
@@ -108,17 +107,21 @@ def _filled(column: str, values: Sequence[Any], encode: Encode) -> tuple[NDArray
 
 def event_section(events: Sequence[EventRow], encode: Encode) -> Section:
     """Rows of events."""
-    values: dict[str, Sequence[Any]] = {"row": [RowKind.EVENT] * len(events), "t0": [event.t for event in events]}
-    values |= {column: [getattr(event, column) for event in events] for column in FIELDS[RowKind.EVENT]}
-    columns = {column: _filled(column, entries, encode) for column, entries in values.items()}
-    return Section(len(events), {name: entry for name, entry in columns.items() if entry[1].any()})
+    return _section(RowKind.EVENT, events, {"t0": "t"}, encode)
 
 
 def state_section(rows: Sequence[StateRow], encode: Encode) -> Section:
     """Rows of hashes of states."""
-    values: dict[str, Sequence[Any]] = {"row": [RowKind.HASH] * len(rows)}
-    values |= {n: [getattr(row, n) for row in rows] for n in ("step", "t0", "h", *FIELDS[RowKind.HASH])}
-    return Section(len(rows), {column: _filled(column, entries, encode) for column, entries in values.items()})
+    return _section(RowKind.HASH, rows, {n: n for n in ("step", "t0", "h")}, encode)
+
+
+def _section(kind: RowKind, rows: Sequence[EventRow | StateRow], more: Mapping[str, str], encode: Encode) -> Section:
+    """Rows of a kind with its fields and with `more`, column -> attribute; columns without a value are left out."""
+    fields = {**more, **{column: column for column in FIELDS[kind]}}
+    values: dict[str, Sequence[Any]] = {"row": [kind] * len(rows)}
+    values |= {column: [getattr(row, field) for row in rows] for column, field in fields.items()}
+    columns = {column: _filled(column, entries, encode) for column, entries in values.items()}
+    return Section(len(rows), {name: entry for name, entry in columns.items() if entry[1].any()})
 
 
 def block_sections(block: BookedSteps, encode: Encode) -> list[Section]:

@@ -33,8 +33,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
     from phfmu.audit.booked_steps import BookedSteps
-    from phfmu.audit.events import EventRow
-    from phfmu.audit.states import StateRow
+    from phfmu.audit.events import EventRow, StateRow
 
 FLUSH_ROWS = 1024
 FLUSH_SECONDS = 0.1

@@ -192,7 +192,7 @@ class WayBack:
 
     def _guard(self, i: int, at: Instant, leg: Leg, which: slice, step: Any) -> _Through:
         """Guard i at the end of a step by where it begins."""
-        g, d, nx = self._run.maps_in(leg.mode).guard(i, at), self._d, self._nx
+        g, nx = self._run.maps_in(leg.mode).guard(i, at), self._nx
         probe = self._of(leg.mode, guard=True)
         b = probe.bars
         for bar in b.all:
@@ -200,7 +200,7 @@ class WayBack:
         b.x[0, :nx] = g.x
         nothing = RowBars(np.zeros(0, np.int32), np.zeros((0, 1, 1)))
         self._parts(leg, which, step, nothing, moves=True, back=probe)
-        along = np.concatenate([b.p[0, list(d.parameters)], b.u[0, list(d.inputs)]]) + g.along
+        along = self._d.of(b.p[0], b.u[0]) + g.along
         return _Through(b.x[0, :nx].copy(), float(b.x[0, nx]) + g.t, float(b.h[0, 0]) + g.t, along)
 
     def _instant_rows(self, leg: Leg, told: Array, instants: Array, a_end: Array, step: Any) -> None:
