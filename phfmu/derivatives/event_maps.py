@@ -43,22 +43,19 @@ TOGETHER = 1e-7
 
 @dataclass(frozen=True)
 class Slope:
-    """Derivative of a number at an instant by the states there (nx), its time, and the directions (n)."""
+    """Derivative at an instant of a number, or of m numbers, by the states there ([m x] nx), its time ([m]) and the directions
+    ([m x] n)."""
 
     x: Array
-    t: float
+    t: Any
     along: Array
 
 
 @dataclass(frozen=True)
-class JumpSlope:
-    """What a jump adds to tangents of the states `moved` (m): its derivative by the states before it (m x nx), by its time (m)
-    and by the directions (m x n)."""
+class JumpSlope(Slope):
+    """The same of what a jump adds to the states `moved` (m)."""
 
     moved: NDArray[np.int32]
-    x: Array
-    t: Array
-    along: Array
 
 
 @dataclass(frozen=True)
@@ -217,4 +214,4 @@ class EventMaps:
         np.add.at(x.T, taken, by[:, : len(taken)].T)
         np.add.at(p.T, given, by[:, by.shape[1] - len(given) :].T)
         along = self._directions.of(p, np.zeros((m, self._model.step.nu)))
-        return JumpSlope(np.asarray(moved, np.int32), x[:, :nx], x[:, nx], along)
+        return JumpSlope(x[:, :nx], x[:, nx], along, np.asarray(moved, np.int32))

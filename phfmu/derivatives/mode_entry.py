@@ -9,30 +9,19 @@ with f_a and g_a at x.  All three are derived; where impulses or variables have 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.declare.variable import time
 from phfmu.derivatives.by import Directions
-from phfmu.derivatives.event_maps import Instant
+from phfmu.derivatives.event_maps import Instant, Slope
 from phfmu.events.modes import Modes
 
 Array = NDArray[np.float64]
 
 #: singular values below this part of the largest are none
 RANK = 1e-10
-
-
-@dataclass(frozen=True)
-class EntrySlope:
-    """Derivative of the states after entering a mode (nx) by those before it (nx x nx), the time and the directions (n)."""
-
-    x: Array
-    t: Array
-    along: Array
 
 
 class ModeEntry:
@@ -57,8 +46,8 @@ class ModeEntry:
         self._scale = np.concatenate([system.size, system.nominal, system.nominal])
         self._size, self._nominal = system.size, system.nominal
 
-    def slope(self, before: Instant, after: Array) -> EntrySlope:
-        """From the states before to those after, with the parameters of the mode that is entered."""
+    def slope(self, before: Instant, after: Array) -> Slope:
+        """Of the states after entering, by those before it, with the parameters of the mode that is entered."""
         nx, na = len(before.x), len(before.a)
         nothing = np.zeros(na)
 
@@ -73,7 +62,7 @@ class ModeEntry:
         own, given, *_ = at(push[:, 0], nothing)
         x = -_solved(own, given, self._scale)[:nx]
         _, p, u = np.split(x, [nx + 1, nx + 1 + len(before.p)], axis=1)
-        return EntrySlope(x[:, :nx], x[:, nx], self._directions.of(p, u))
+        return Slope(x[:, :nx], x[:, nx], self._directions.of(p, u))
 
 
 def _solved(A: Array, b: Array, scale: Array) -> Array:

@@ -23,8 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.derivatives.by import By, start_tangents_by
-from phfmu.derivatives.event_maps import EventMaps, Instant
-from phfmu.derivatives.mode_entry import EntrySlope
+from phfmu.derivatives.event_maps import EventMaps, Instant, Slope
 from phfmu.derivatives.plan_function import PlanFunction, Point, Rows
 from phfmu.discretise.model import Model
 from phfmu.signals import Quantity
@@ -141,7 +140,7 @@ class Tangents:
             along = self.by.spread(jump.along) * self._acts
             self.S[jump.moved] += jump.x @ self.S + np.outer(jump.t, self.T) + along
 
-    def entered(self, entry: EntrySlope) -> None:
+    def entered(self, entry: Slope) -> None:
         """The states go onto the constraints of a mode."""
         self.S = entry.x @ self.S + np.outer(entry.t, self.T) + self.by.spread(entry.along) * self._acts
 
