@@ -91,10 +91,9 @@ def _saturation(m: MachineData, flux: Callable[[float], float]) -> float:
     from scipy.optimize import root_scalar
 
     def gap(r: float) -> float:
-        return r - flux(curve.current(r) / r if r else 0.0)
+        return r - flux(curve.S(r))
 
-    r = float(root_scalar(gap, bracket=(0.0, most), xtol=1e-15).root)
-    return curve.current(r) / r if r else 0.0
+    return curve.S(float(root_scalar(gap, bracket=(0.0, most), xtol=1e-15).root))
 
 
 def steady_state(
@@ -148,8 +147,7 @@ def _saturated_q(m: MachineData, flux: float) -> float:
     if m.saturation is None or m.Ll is None or m.saturation.axes == "d":
         return m.Lq
     rated = sqrt(2.0 / 3.0) * m.Vn_rms_ll / m.omega
-    S = m.saturation.current(flux / rated) / (flux / rated) if flux else 0.0
-    return m.Ll + 1.0 / (1.0 / (m.Lq - m.Ll) + S / (m.Ld - m.Ll))
+    return m.Ll + 1.0 / (1.0 / (m.Lq - m.Ll) + m.saturation.S(flux / rated) / (m.Ld - m.Ll))
 
 
 def _field_of_iron(m: MachineData, flux: complex) -> float:
@@ -158,4 +156,4 @@ def _field_of_iron(m: MachineData, flux: complex) -> float:
         return 0.0
     rated = sqrt(2.0 / 3.0) * m.Vn_rms_ll / m.omega
     size = abs(flux) if m.saturation.axes == "dq" else abs(flux.real)
-    return m.saturation.current(size / rated) * rated * flux.real / size if size else 0.0
+    return m.saturation.S(size / rated) * flux.real

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from math import inf, isfinite, log, sqrt
 from typing import Any, Literal
@@ -127,11 +128,20 @@ class Saturation:
 
     def current(self, u: float) -> float:
         """S(u) u, the field current beside that of the air gap at the main flux u, both in per unit."""
-        curve = self.curve()
-        at = ca.SX.sym("u")
+        return float(self._current(abs(u)))
+
+    def S(self, u: float) -> float:
+        """S(u), 0 without a main flux."""
+        return self.current(u) / u if u else 0.0
+
+    @cached_property
+    def _current(self) -> ca.Function:
+        """S(u) u as a function of numbers."""
+        curve, at = self.curve(), ca.SX.sym("u")
         values = [float(p.start[0]) for p in curve.parameters]
-        f = ca.Function("excess", [at, *(p.sx for p in curve.parameters)], [curve.current(at)[0]])
-        return float(f(abs(u), *values))
+        return ca.Function(
+            "current", [at], ca.substitute([curve.current(at)[0]], [p.sx for p in curve.parameters], values)
+        )
 
 
 @dataclass(frozen=True)
