@@ -104,7 +104,7 @@ MORE = {
     "damping after events": "two_point_control --coupling newton --order 4 --stop 3 --restart 2",
     "damping after events of time": "two_machine --coupling newton --stop 0.11 --step 1e-3 --restart 3",
     "signals held": "speed_control --coupling gauss-seidel --stop 2",
-    "signals held, newton": "island --coupling newton --stop 0.004 --engine fmu",
+    "signals held, newton": "island --coupling newton --stop 0.004 --step 5e-5 --engine fmu",
     "signals at nodes": "speed_control --coupling newton --order 4 --stop 2",
     "signals, switches": "buck --coupling newton --stop 0.001",
     "python": "oscillator --coupling newton --stop 1 --engine python",

@@ -12,10 +12,9 @@ import phfmu as ph
 from phfmu import Event, NativeInstance, Options, PythonInstance, build_model, run
 from phfmu.cli import main
 from phfmu.components.library import LIBRARY, build
-from phfmu.derivatives.by import By
 from phfmu.derivatives.sensitive import SensitiveSteps
-from phfmu.derivatives.tangents import Tangents
 from phfmu.discretise.start import project_start
+from phfmu.engine.switched import stepped
 from phfmu.results.file import open_result
 from tests.derivatives.differences import richardson, worst
 from tests.wide import wide
@@ -62,17 +61,19 @@ SCENES = [n for n, (kind, *_) in LIBRARY.items() if kind == "scene" and n not in
 @pytest.mark.usefixtures("compiler")
 @pytest.mark.parametrize("name", SCENES)
 def test_every_scene_by_some_of_its_parameters(name: str) -> None:
-    """Twenty steps, all columns; differences of columns that hardly follow a parameter are rounding of the columns."""
+    """Twenty steps, all columns; differences of columns that hardly follow a parameter are rounding of the columns.
+
+    Instants of state events that fall on a row's time, as a chopper's do, give two rows there and none beside: steps are odd.
+    """
     scene = build(name)
     d = scene.declaration()
-    known = [n for v in d.parameters for n, x in zip(v.names(), v.start, strict=True) if x and n not in d.modes]
+    held = {*d.modes, *(s.mode_name for s in d.switches)}
+    known = [n for v in d.parameters for n, x in zip(v.names(), v.start, strict=True) if x and n not in held]
     by = Random(1).sample(known, min(4, len(known)))
-    if d.state_events or d.switches:
-        with pytest.raises(ValueError, match="whose instants move with the parameters"):
-            Tangents(build_model(d), By.of(d, by))
-        return
-    events = tuple(e for e in scene.events if e.t < 20 * scene.step)
-    errors = worst(d, by, Options(stop=20 * scene.step, step=scene.step, events=events, project=True), 2)
+    step = 0.97 * scene.step if d.state_events else scene.step
+    events = tuple(e for e in scene.events if e.t < 20 * step)
+    options = Options(stop=20 * step, step=step, events=events, project=True)
+    errors = worst(d, by, options, 2, lambda model: stepped(model, NativeInstance))
     assert {k: e for k, e in errors.items() if e > 2e-6} == {}
 
 
