@@ -24,6 +24,7 @@ EPS = float(np.finfo(float).eps)
 TOLERANCE, ROUNDING, STAGNATION = LIMITS["TOLERANCE"], LIMITS["ROUNDING"], LIMITS["STAGNATION"]
 SAME_UPDATE = LIMITS["SAME_UPDATE"]
 CRAWLING, CRAWL, SHRINKING = LIMITS["CRAWLING"], LIMITS["CRAWL"], LIMITS["SHRINKING"]
+WANDERING = LIMITS["WANDERING"]
 STALLS, GROWN, FLOOR, SUMS = LIMITS["STALLS"], LIMITS["GROWN"], LIMITS["FLOOR"], LIMITS["CONSTRAINT_SUMS"]
 DELTA, DELTA_PART, DEPENDENT = LIMITS["DELTA"], LIMITS["DELTA_PART"], LIMITS["DEPENDENT"]
 LEAST_DAMPING, ITERATIONS = LIMITS["LEAST_DAMPING"], int(LIMITS["NEWTON_ITERATIONS"])
@@ -168,7 +169,7 @@ class Newton:
     def _iterated(self, w: Array, fixed: Fixed, damped: bool) -> Outcome:
         """Iterate from w until rounding, then polish once with the old factor."""
         plan, h = self.plan, fixed[3]
-        w, last, stalls, grew = w.copy(), np.inf, 0, False
+        w, last, least, stalls, wanders, grew = w.copy(), np.inf, np.inf, 0, 0, False
         w[self.evaluator.resting] = 0.0
         out = Outcome(Status.NO_CONVERGENCE, w)
         r = self.residual(w, fixed)
@@ -189,7 +190,9 @@ class Newton:
             out.w, out.update = w, float(np.max(np.abs(dw) / (plan.nominal + np.abs(w)), initial=0.0))
             grew |= last < out.update > TOLERANCE
             stalls = stalls + 1 if SHRINKING * last < out.update <= GROWN * last else 0
-            if damping == 1.0 and self._solved(out, last, grew, stalls, before, fixed):
+            wanders = 0 if out.update < least else wanders + 1
+            least = min(least, out.update)
+            if damping == 1.0 and self._solved(out, last, grew, stalls, wanders, before, fixed):
                 if not np.isfinite(r).all():
                     return self._failed(out, Status.NOT_FINITE, r, fixed)
                 out.w = w + self.solve(r)
@@ -198,12 +201,13 @@ class Newton:
             last = out.update
         return self._failed(out, Status.NO_CONVERGENCE, r, fixed)
 
-    def _solved(self, out: Outcome, last: float, grew: bool, stalls: int, r: Array, fixed: Fixed) -> bool:
+    def _solved(self, out: Outcome, last: float, grew: bool, stalls: int, wanders: int, r: Array, fixed: Fixed) -> bool:
         """Whether one polish reaches rounding.
 
         Two updates tell what is left after it;  once one grew, as stiff and free directions take turns, both must be small.
         Two in a row that hardly shrink (stalls) are at the floor if the residual r before the last is rounding, or if they
-        are tiny and only noise is left.
+        are tiny and only noise is left; so are many of which none is the smallest yet (wanders), where constraints nearly
+        lose rank.
         """
         if out.update == 0.0:
             return True
@@ -211,7 +215,11 @@ class Newton:
         if out.update <= TOLERANCE and (not grew or last <= TOLERANCE) and ratio**2 * out.update <= ROUNDING:
             return True
         crawls = CRAWL < ratio < 1.0
-        if out.update > (CRAWLING if crawls else STAGNATION) or ratio <= SHRINKING:
+        if out.update > (CRAWLING if crawls else STAGNATION):
+            return False
+        if wanders >= WANDERING:
+            return self._at_floor(out.w, r, fixed)
+        if ratio <= SHRINKING:
             return False
         noise = ratio >= 1.0 - SAME_UPDATE and out.update <= TOLERANCE
         return stalls >= STALLS and (noise or self._at_floor(out.w, r, fixed, float(crawls)))

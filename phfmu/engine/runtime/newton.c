@@ -201,8 +201,9 @@ static int polish(ph_system *s) {
 /* Update small enough that one polish reaches rounding. Two updates tell what is left after it, whether they
  * shrink linearly (a kept factor, delta against a nearly singular matrix) or by squares; once one grew, as
  * stiff and free directions take turns, both must be small. Two in a row that hardly shrink are at the floor
- * if the residual before the last is rounding, or if they are tiny and only noise is left. */
-static int solved(const ph_system *s, int kept, int grew, int stalls, double previous) {
+ * if the residual before the last is rounding, or if they are tiny and only noise is left; so are many of
+ * which none is the smallest yet, which wander where constraints nearly lose rank. */
+static int solved(const ph_system *s, int kept, int grew, int stalls, int wanders, double previous) {
     double ratio = s->update / previous;
     int crawls = ratio > PH_CRAWL && ratio < 1.0;
     if (s->update == 0.0)
@@ -212,9 +213,11 @@ static int solved(const ph_system *s, int kept, int grew, int stalls, double pre
     if (s->update <= PH_TOLERANCE && (!grew || previous <= PH_TOLERANCE) &&
         ratio * ratio * s->update <= PH_ROUNDING)
         return 1;
-    if (kept || s->update > (crawls ? PH_CRAWLING : PH_STAGNATION) || ratio <= PH_SHRINKING)
+    if (kept || s->update > (crawls ? PH_CRAWLING : PH_STAGNATION))
         return 0;
-    if (stalls < PH_STALLS)
+    if (wanders >= PH_WANDERING)
+        return at_floor(s, 0.0, s->base);
+    if (ratio <= PH_SHRINKING || stalls < PH_STALLS)
         return 0;
     return (ratio >= 1.0 - PH_SAME_UPDATE && s->update <= PH_TOLERANCE) || at_floor(s, crawls, s->base);
 }
@@ -222,8 +225,8 @@ static int solved(const ph_system *s, int kept, int grew, int stalls, double pre
 /* From the w in Y to the solution; afterwards Y and all rows R belong to the final w. */
 int ph_newton(ph_system *s, ph_newton_kind kind) {
     const int damped = kind == PH_DAMPED;
-    double previous = INFINITY;
-    int chord = kind == PH_KEPT, grew = 0, stalls = 0;
+    double previous = INFINITY, least = INFINITY;
+    int chord = kind == PH_KEPT, grew = 0, stalls = 0, wanders = 0;
     s->update = INFINITY;
     for (s->iterations = 1; s->iterations <= PH_NEWTON_ITERATIONS; s->iterations++) {
         double norm, damping = 1.0;
@@ -244,7 +247,9 @@ int ph_newton(ph_system *s, ph_newton_kind kind) {
         }
         grew |= s->update > previous && s->update > PH_TOLERANCE;
         stalls = s->update > PH_SHRINKING * previous && s->update <= PH_GROWN * previous ? stalls + 1 : 0;
-        if (damping == 1.0 && solved(s, kept, grew, stalls, previous))
+        wanders = s->update < least ? 0 : wanders + 1;
+        least = fmin(least, s->update);
+        if (damping == 1.0 && solved(s, kept, grew, stalls, wanders, previous))
             return polish(s);
         chord = 0;
         if (kept && s->update > previous) { /* the old matrix led astray: take it back, use a new one */

@@ -48,6 +48,9 @@
 #define PH_SHRINKING 0.5
 #define PH_GROWN 4
 
+/* Updates since the smallest one: after so many they wander, and are rounding if the residual is. */
+#define PH_WANDERING 6
+
 /* Units of rounding in a row that cannot be told from zero, and as many times more in constraint rows: sums
  * of values that are themselves computed with cancellation. */
 #define PH_FLOOR 64
