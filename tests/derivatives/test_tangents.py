@@ -12,7 +12,9 @@ import phfmu as ph
 from phfmu import Event, NativeInstance, Options, PythonInstance, build_model, run
 from phfmu.cli import main
 from phfmu.components.library import LIBRARY, build
+from phfmu.derivatives.by import By
 from phfmu.derivatives.sensitive import SensitiveSteps
+from phfmu.derivatives.tangents import Tangents
 from phfmu.discretise.start import project_start
 from phfmu.engine.switched import stepped
 from phfmu.results.file import open_result

@@ -24,6 +24,7 @@ from phfmu.components.library import LIBRARY, build
 from phfmu.doors.function import Differentiable
 from tests.derivatives.differences import richardson
 from tests.doors.crane import crane
+from tests.wide import turning
 
 pytestmark = pytest.mark.usefixtures("compiler")
 
@@ -114,9 +115,7 @@ def test_a_value_does_not_depend_on_what_was_asked_before(engine: type) -> None:
         np.testing.assert_array_equal(again, value)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("order", [2, 4, 6])
-@pytest.mark.parametrize("name", LIBRARY)
+@pytest.mark.parametrize(("name", "order"), turning(LIBRARY, [2, 4, 6]))
 def test_models_of_the_library(name: str, order: int) -> None:
     """One step from the start: the states of an instance to the bit or its rounding, and both ways of J in one product."""
     found = build(name)

@@ -10,7 +10,7 @@ from phfmu.components.library import LIBRARY, SWITCHED, build
 from phfmu.engine.record import recorded
 from tests.engine.library_models import ERRORS, FORMS, declaration, plan, start
 from tests.engines import ENGINES
-from tests.wide import wide
+from tests.wide import turning, wide
 
 NAMES = [*(n for n in LIBRARY if n not in SWITCHED), *FORMS]
 #: those that the Python engine takes long for, and forms of others
@@ -146,9 +146,7 @@ def test_engines_agree_at_order_six(name):
     compare(name, 3, 20)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("k", [1, 2, 3])
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(("name", "k"), turning(NAMES, [1, 2, 3]))
 def test_engines_agree_over_many_steps(name, k):
     """A thousand at order two; of higher ones, which cost several times as much, a quarter of them."""
     if k > 1 and declaration(name).closed or k == 2 and declaration(name).constraints:

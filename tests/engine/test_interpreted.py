@@ -21,7 +21,7 @@ from phfmu.engine.switched import stepped
 from phfmu.outcome.status import StepFailure
 from phfmu.schemes.named import named_scheme
 from tests.sanitized import output
-from tests.wide import wide
+from tests.wide import turning, wide
 
 ORDERS = (2, 4, 6)
 USUAL = {("smib", 2), ("smib", 4), ("dc_motor", 6), ("four_particle", 2), ("bouncing_ball", 2), ("diode", 2)}
@@ -56,10 +56,7 @@ def told(instance: Any, h: float) -> tuple[list[bytes], str, dict[str, int], Any
     return rows, refusal, instance.counts, derivatives
 
 
-@pytest.mark.parametrize(
-    ("name", "order"),
-    wide([(n, o) for n in LIBRARY for o in ORDERS], *[(n, o) for n in LIBRARY for o in ORDERS if (n, o) in USUAL]),
-)
+@pytest.mark.parametrize(("name", "order"), turning(LIBRARY, ORDERS, *sorted(USUAL)))
 def test_the_library_gives_the_same_bits(compiler: None, name: str, order: int) -> None:
     """The whole signal table, counters, refusals; compiled kernels and tangents against interpreted ones."""
     try:
