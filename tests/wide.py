@@ -23,13 +23,13 @@ def longer(cases: Iterable[Any], *telling: Any) -> list[Any]:
     return [slow(case) if case in telling else marked(case, pytest.mark.long) for case in every]
 
 
-def turning(names: Iterable[str], others: Iterable[Any], *telling: Any) -> list[Any]:
+def turning(names: Iterable[Any], others: Iterable[Any], *telling: Any) -> list[Any]:
     """Pairs of a name and one of `others`, as orders or couplings: `telling` ones run by default, a slow one is there for each
     name, whose other goes round among them and is the same in all tests; the rest run with `-m long`."""
     rest = list(others)
     every = [(name, other) for name in names for other in rest]
     assert all(pair in every for pair in telling), f"{telling} are not all among the pairs"
-    turn = {name: rest[crc32(name.encode()) % len(rest)] for name, _ in every}
+    turn = {name: rest[crc32(str(name).encode()) % len(rest)] for name, _ in every}
     return [
         pair if pair in telling else slow(pair) if turn[pair[0]] == pair[1] else marked(pair, pytest.mark.long)
         for pair in every
