@@ -13,13 +13,16 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from phfmu.audit.analysis import summarise
+from phfmu.audit.judge import DEFAULT_RTOL
 from phfmu.audit.kinds import Quality, RowKind
 from phfmu.audit.log.reading import Batches, Interned, LogRows
+from phfmu.audit.violation import COMPONENT, JUNCTION, Violation
 from phfmu.words import first_few
 
 if TYPE_CHECKING:
@@ -43,6 +46,10 @@ _REMEDIES = {
     UNCONVERGED: "--unconverged halve, or a smaller step",
     ITERATED: "it is what the tolerance of the iteration leaves; a smaller step leaves less",
     PREDICTED: "a smaller step, or a member that can save its state (`phfmu vet` says whether it does)",
+}
+_CONTRADICTIONS = {
+    "member": "its books do not close: look at its declared losses, and at what it tells of its ports and of its energy",
+    "junction": "the energies that its members book there do not add up: look at signs, units and delays between them",
 }
 
 
@@ -94,9 +101,10 @@ class Blame:
 
     junctions: list[JunctionBlame]
     members: list[MemberBlame]
+    violations: list[Violation] = field(default_factory=list)
 
 
-def blame(source: pa.Table | str | os.PathLike[str]) -> Blame:
+def blame(source: pa.Table | str | os.PathLike[str], rtol: float = DEFAULT_RTOL) -> Blame:
     """Net and gross energies of the junctions and members of an audit log; two passes, memory does not grow with it.
 
     Errors: ValueError for what is not an audit log.
@@ -105,7 +113,7 @@ def blame(source: pa.Table | str | os.PathLike[str]) -> Blame:
     batches = Batches(source)
     for batch in batches:
         found.take(batch, batches.interned)
-    return found.blame()
+    return replace(found.blame(), violations=summarise(source, rtol).violations)
 
 
 def _kept(source: pa.Table | str | os.PathLike[str]) -> tuple[dict[int, str], tuple[float, float]]:
@@ -214,44 +222,70 @@ class _Gathering:
         return Blame(junctions, sorted(self.members.values(), key=lambda m: m.least))
 
 
+@dataclass(frozen=True)
+class Finding:
+    """A sentence about a "member" or "junction" of that name; `accuses`: what it says is a fault, not the price of the coupling."""
+
+    subject: str
+    name: str
+    text: str
+    accuses: bool
+
+
+def findings(found: Blame) -> list[Finding]:
+    """What books contradict comes first, then members that make energy, then what the coupling made, each by its size."""
+    makers = [f for f in _of_members(found) if f.accuses]
+    stores = [f for f in _of_members(found) if not f.accuses]
+    return [*_of_violations(found), *makers, *_of_junctions(found), *stores]
+
+
 def why(found: Blame) -> list[str]:
-    """Sentences, the largest energies first, each with its remedy."""
-    told = sorted([*_of_junctions(found), *_of_members(found)], reverse=True)
+    """Sentences in the order of `findings`, each with its remedy."""
+    told = findings(found)
     if not told:
         nothing = f"No junction made more than {WORTH:g} of what it exchanged"
         return [f"{nothing}, and no member gave out what it had not been given."]
-    return [sentence for _, sentence in told]
+    return [f.text for f in told]
 
 
-def _of_junctions(found: Blame) -> Iterator[tuple[float, str]]:
+def _of_violations(found: Blame) -> Iterator[Finding]:
+    """One sentence for each member, then for each junction, whose books do not close; what misses most of what is allowed first."""
+    worst = sorted(found.violations, key=lambda v: -v.ratio)
+    for subject, kinds in (("member", COMPONENT), ("junction", JUNCTION)):
+        names = dict.fromkeys(v.name for v in worst if v.kind in kinds)
+        for name in names:
+            own = next(v for v in worst if v.name == name and v.kind in kinds)
+            yield Finding(subject, name, f"{subject.capitalize()} {own}. Next: {_CONTRADICTIONS[subject]}.", True)
+
+
+def _of_junctions(found: Blame) -> Iterator[Finding]:
     for j in found.junctions:
         if j.gross <= WORTH * j.exchanged:
             continue
         causes = [c for c in sorted(j.causes, key=lambda c: -j.causes[c]) if j.causes[c] > 0.01 * j.gross]
         shares = ", ".join(f"{j.causes[c] / sum(j.causes.values()):.0%} by {c}" for c in causes)
         share = f" ({100.0 * j.gross / j.exchanged:.2g} %)" if j.exchanged else ""
-        yield (
-            j.gross,
+        yield Finding(
+            "junction",
+            j.junction,
             f"Junction {j.junction} of {first_few(j.members)} made {j.gross:.3g} J gross, {j.net:.3g} J net, of "
             f"{j.exchanged:.3g} J exchanged{share}: {shares}; most at t = {j.worst_t:.6g} s ({j.worst:.3g} J in a step). "
             f"Next: {_REMEDIES[causes[0]]}.",
+            False,
         )
 
 
-def _of_members(found: Blame) -> Iterator[tuple[float, str]]:
+def _of_members(found: Blame) -> Iterator[Finding]:
     for m in found.members:
         if m.quality == Quality.EXACT or m.least >= -WORTH * m.gross or not m.gross:
             continue
         given = f"Member {m.component} has given out {-m.least:.3g} J more than it was given by t = {m.least_t:.6g} s"
         if m.makes:
-            yield (
-                -m.least,
+            text = (
                 f"{given}, and goes on to the end of the run: it makes energy, or has a source. "
-                f"Next: look at the sign and the units of its ports, and try `phfmu vet` on it (claim passivity).",
+                "Next: look at the sign and the units of its ports, and try `phfmu vet` on it (claim passivity)."
             )
         else:
             # what a store explains says nothing against it: it comes after all that was made
-            yield (
-                0.0,
-                f"{given}: it had a store of at least that at the start, since it keeps no books.",
-            )
+            text = f"{given}: it had a store of at least that at the start, since it keeps no books."
+        yield Finding("member", m.component, text, m.makes)
