@@ -6,7 +6,8 @@ given up or left something, or the prediction of a member that is stepped last.
 
 Of a member W(t) is the energy through its ports since the start, positive into it.  One that keeps no books (a unit of another
 tool) has given out -min W that it was not given before: a store of at least that was in it at the start, or it makes energy.  It
-makes energy where W falls to a new low in each of the last parts of the run, which no store that is finite explains for long.
+makes energy where W falls to a new low in each of the last parts of the run and the fall does not slacken: a store that empties
+gives less and less, which no finite one can put off.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from phfmu.audit.analysis import summarise
 from phfmu.audit.judge import DEFAULT_RTOL
 from phfmu.audit.kinds import Quality, RowKind
 from phfmu.audit.log.reading import Batches, Interned, LogRows
-from phfmu.audit.violation import COMPONENT, JUNCTION, Violation
+from phfmu.audit.violation import COMPONENT, JUNCTION, Violation, ViolationKind
 from phfmu.words import first_few
 
 if TYPE_CHECKING:
@@ -37,6 +38,8 @@ _KEPT, _MISSED = "unconverged", "estimated ports"
 
 #: parts of the run at whose ends W is looked at; of them those that have to be new lows
 MARKS, LOWS = 8, 4
+#: of the fall of one half of these, what the other half brings; less is a store that empties
+GOES_ON = 0.6
 #: of what was exchanged: less is not worth a sentence
 WORTH = 1e-9
 
@@ -47,8 +50,12 @@ _REMEDIES = {
     ITERATED: "it is what the tolerance of the iteration leaves; a smaller step leaves less",
     PREDICTED: "a smaller step, or a member that can save its state (`phfmu vet` says whether it does)",
 }
+#: books that are judged -> violations of them
+_BOOKS = {"member": COMPONENT, "port": (ViolationKind.EXCHANGED,), "junction": JUNCTION}
 _CONTRADICTIONS = {
     "member": "its books do not close: look at its declared losses, and at what it tells of its ports and of its energy",
+    "port": "what it takes is not what it is given, or what it gives is not what is told: look at the sign, the unit and the "
+    "delay between it and its junction",
     "junction": "the energies that its members book there do not add up: look at signs, units and delays between them",
 }
 
@@ -72,7 +79,7 @@ class JunctionBlame:
 
 @dataclass
 class MemberBlame:
-    """A member over a run, energies in J: `net` W at the end, `gross`, the least W with its time (s), W at the marks.
+    """A member over a run, energies in J: `net` W at the end, `gross`, the least W with its time (s), the least up to each mark.
 
     `quality`: of its ports, see `Quality`.
     """
@@ -83,16 +90,16 @@ class MemberBlame:
     gross: float = 0.0
     least: float = 0.0
     least_t: float = 0.0
-    marks: list[float] = field(default_factory=list)
+    lows: list[float] = field(default_factory=list)
 
     @property
     def makes(self) -> bool:
-        """Whether it gives out without an end: W is lower at each of the last marks, and most of the fall goes on."""
-        lows = np.array(self.marks[-LOWS - 1 :])
+        """Whether it gives out without an end: each of the last parts of the run has a new low, and the fall goes on."""
+        lows = np.array(self.lows[-LOWS - 1 :])
         if len(lows) <= LOWS or self.least >= -1e-3 * self.gross:
             return False
         falls = -np.diff(lows)
-        return bool((falls > 0.0).all() and falls[-1] > 0.25 * falls[0])
+        return bool((falls > 0.0).all() and falls[LOWS // 2 :].sum() > GOES_ON * falls[: LOWS // 2].sum())
 
 
 @dataclass
@@ -102,6 +109,8 @@ class Blame:
     junctions: list[JunctionBlame]
     members: list[MemberBlame]
     violations: list[Violation] = field(default_factory=list)
+    #: member of each port, `member.port`
+    owners: dict[str, str] = field(default_factory=dict)
 
 
 def blame(source: pa.Table | str | os.PathLike[str], rtol: float = DEFAULT_RTOL) -> Blame:
@@ -138,6 +147,7 @@ class _Gathering:
         self._marks = start + (end - start) * np.arange(1, MARKS + 1) / MARKS
         self.junctions: dict[str, JunctionBlame] = {}
         self.members: dict[str, MemberBlame] = {}
+        self._owners: dict[str, str] = {}
         self._divided: set[str] = set()
 
     def take(self, batch: dict[RowKind, LogRows], interned: Interned) -> None:
@@ -156,6 +166,9 @@ class _Gathering:
             if junction >= 0:
                 known = self._junction(interned.name(junction) or "").members
                 known += [n for n in [interned.name(component) or ""] if n not in known]
+        for component, port in {*zip(rows.names["component"].tolist(), rows.names["port"].tolist(), strict=True)}:
+            name = interned.name(component) or ""
+            self._owners[f"{name}.{interned.name(port)}"] = name
         for code in np.unique(rows.names["component"]):
             own = rows.names["component"] == code
             name = interned.name(code) or ""
@@ -168,11 +181,12 @@ class _Gathering:
         last = np.flatnonzero(np.append(np.diff(ends) > 0.0, True))
         W, times = member.net + np.cumsum(energies)[last], ends[last]
         member.gross += float(np.abs(energies).sum())
+        lows = np.minimum(np.minimum.accumulate(W), member.least)
+        while len(member.lows) < MARKS and times[-1] >= (mark := self._marks[len(member.lows)] * (1.0 - 1e-12)):
+            member.lows.append(float(lows[np.searchsorted(times, mark)]))
         i = int(np.argmin(W))
         if W[i] < member.least:
             member.least, member.least_t = float(W[i]), float(times[i])
-        while len(member.marks) < MARKS and times[-1] >= self._marks[len(member.marks)] * (1.0 - 1e-12):
-            member.marks.append(float(W[np.searchsorted(times, self._marks[len(member.marks)] * (1.0 - 1e-12))]))
         member.net = float(W[-1])
 
     def _parts(self, rows: LogRows, interned: Interned) -> None:
@@ -219,12 +233,12 @@ class _Gathering:
     def blame(self) -> Blame:
         """Those that made most come first."""
         junctions = sorted(self.junctions.values(), key=lambda j: -j.gross)
-        return Blame(junctions, sorted(self.members.values(), key=lambda m: m.least))
+        return Blame(junctions, sorted(self.members.values(), key=lambda m: m.least), owners=self._owners)
 
 
 @dataclass(frozen=True)
 class Finding:
-    """A sentence about a "member" or "junction" of that name; `accuses`: what it says is a fault, not the price of the coupling."""
+    """A sentence about a "member" or "junction" of that name; `accuses`: it tells of a fault, not of what a coupling costs."""
 
     subject: str
     name: str
@@ -249,13 +263,14 @@ def why(found: Blame) -> list[str]:
 
 
 def _of_violations(found: Blame) -> Iterator[Finding]:
-    """One sentence for each member, then for each junction, whose books do not close; what misses most of what is allowed first."""
+    """A sentence for each member, port, and junction whose books do not close, each by its worst step, in that order."""
     worst = sorted(found.violations, key=lambda v: -v.ratio)
-    for subject, kinds in (("member", COMPONENT), ("junction", JUNCTION)):
-        names = dict.fromkeys(v.name for v in worst if v.kind in kinds)
-        for name in names:
+    for subject, kinds in _BOOKS.items():
+        for name in dict.fromkeys(v.name for v in worst if v.kind in kinds):
             own = next(v for v in worst if v.name == name and v.kind in kinds)
-            yield Finding(subject, name, f"{subject.capitalize()} {own}. Next: {_CONTRADICTIONS[subject]}.", True)
+            text = f"{subject.capitalize()} {own}. Next: {_CONTRADICTIONS[subject]}."
+            about = ("member", found.owners.get(name, name)) if subject == "port" else (subject, name)
+            yield Finding(*about, text, True)
 
 
 def _of_junctions(found: Blame) -> Iterator[Finding]:

@@ -7,7 +7,8 @@ A fault is admitted where the energies of a run can tell it at all.  It is left 
   exchanged;
 - its member keeps no books and stays passive: W(t) >= -H(0) at all times.  A passive member with the same store at the start can
   have given the same energies (J. C. Willems, Dissipative dynamical systems, Arch. Rational Mech. Anal. 45, 1972, 321);
-- its member keeps no books, and gave out no more in the second half of the run than it had before: a store explains what ends.
+- its member keeps no books, and gave out less than a part `EMPTIES` of it in the second half of the run: a store at the start
+  that empties, exp(-t / T) within 2.2 T, explains that.
 """
 
 from __future__ import annotations
@@ -27,6 +28,8 @@ from phfmu.studies.blame.networks import COUPLINGS, KINDS, STEPS, Drawn, draw, m
 
 #: of the energy that a member exchanges: a fault that makes less has not acted
 ACTED = 1e-6
+#: of all that a member gives out, what it has to give in the second half of the run not to be a store that empties
+EMPTIES = 0.25
 UNITS = (1e3, 1e-3, 60.0 / (2.0 * np.pi), 2.0 * np.pi / 60.0, np.pi / 180.0, 180.0 / np.pi, 1e6, 1e-6)
 
 
@@ -90,10 +93,12 @@ def _run(drawn: Drawn, log: Path, guilty: str, fault: Fault | None, where: Where
     from phfmu.runs.loop import run
     from phfmu.runs.options import Options
 
-    stand = {}
-    for name, inner in members(drawn).items():
-        own = where if name == guilty else Where.MEMBER if name in drawn.booked else Where.UNBOOKED
-        stand[name] = FaultyMember(inner, fault if name == guilty else None, own)
+    stand = members(drawn)
+    for name, inner in stand.items():
+        if name == guilty:
+            stand[name] = FaultyMember(inner, fault, where)
+        elif name not in drawn.booked:
+            stand[name] = FaultyMember(inner, None, Where.UNBOOKED)
     coupling = named_coupling(drawn.coupling, drawn.network, unconverged=drawn.unconverged)
     stepper: Any = Coupled(drawn.network, [*stand.values()], coupling.make)
     with AuditWriter(log) as sink:
@@ -141,7 +146,7 @@ def _left_out(member: FaultyMember) -> str:
     first, least = W[: len(W) // 2 + 1].min(), W.min()
     if least >= -member.had * (1.0 + ACTED):
         return LeftOut.PASSIVE
-    return LeftOut.ENDS if least >= first * (1.0 + ACTED) else ""
+    return LeftOut.ENDS if first - least < EMPTIES * -least else ""
 
 
 def _judge(found: Outcome, log: Path) -> None:

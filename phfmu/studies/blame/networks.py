@@ -14,17 +14,17 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from phfmu.declare.variable import parameter, time
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import Port
+from phfmu.declare.variable import parameter, time
 from phfmu.network.network import Network
 
 #: kinds of networks, by the kinds of their stores
 KINDS = {"electrical": ("C",), "translational": ("m",), "rotational": ("J",), "mixed": ("C", "J")}
 COUPLINGS = ("jacobi", "gauss-seidel", "newton", "anderson")
-#: angle by which the fastest link swings in a step, by whether the coupling repeats steps
-ANGLES = {False: (0.01, 0.02, 0.04), True: (0.02, 0.06, 0.2)}
-STEPS = 800
+#: step sizes (s) by whether the coupling repeats steps, where members swing at about 1 rad/s
+STEP_SIZES = {False: (0.02, 0.03, 0.05), True: (0.05, 0.1, 0.2)}
+STEPS = 600
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ class _Tree:
             self._net.junction(name, ends)
         booked = frozenset(m for m in self._members if m == driven or rng.random() < 0.5)
         repeats = coupling in ("newton", "anderson")
-        step = float(rng.choice(ANGLES[repeats])) / 2.0
+        step = float(rng.choice(STEP_SIZES[repeats]))
         unconverged = "accept" if repeats and rng.random() < 0.25 else "raise"
         return Drawn(self._net, kind, coupling, unconverged, step, booked, driven, self._dampers)
 
@@ -98,7 +98,7 @@ class _Tree:
         from phfmu.components.mechanical.rotational import rotational_inertia
         from phfmu.components.mechanical.translational import mass
 
-        size, loss, start = self._about(), self._about(0.05), float(self._rng.uniform(-1.0, 1.0))
+        size, loss, start = self._about(), self._about(0.2), float(self._rng.uniform(-1.0, 1.0))
         if kind == "C":
             name, port = self._add("C", rc_node(1.0 / loss, size, v0=start), "R"), "terminal"
         elif kind == "m":
@@ -123,7 +123,7 @@ class _Tree:
         here = str(rng.choice(list(self._ends)))
         kind = self._of[here]
         if kind == "C" and "J" in self._kinds and rng.random() < 0.7:
-            motor = dc_motor(L=self._about(), R=self._about(0.1), J=self._about(), k=self._about(), d=self._about(0.05))
+            motor = dc_motor(L=self._about(), R=self._about(0.2), J=self._about(), k=self._about(), d=self._about(0.2))
             name = self._add("M", motor, str(rng.choice(["R", "d"])))
             self._ends[here].append(f"{name}.terminal")
             if left > 1:  # a rotor alone has a free end
@@ -131,7 +131,7 @@ class _Tree:
                 self._link(flexible_shaft(self._about(), d=0.0), "S", f"at_{name}", left - 1)
             return
         made: dict[str, tuple[str, Callable[[], PHDAE]]] = {
-            "C": ("L", lambda: rl_link(self._about(0.05), self._about())),
+            "C": ("L", lambda: rl_link(self._about(0.2), self._about())),
             "m": ("k", lambda: spring(self._about(), elongation=float(rng.uniform(-0.5, 0.5)))),
             "J": ("S", lambda: flexible_shaft(self._about(), d=0.0)),
         }
