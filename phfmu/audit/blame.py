@@ -6,8 +6,9 @@ given up or left something, or the prediction of a member that is stepped last.
 
 Of a member W(t) is the energy through its ports since the start, positive into it.  One that keeps no books (a unit of another
 tool) has given out -min W that it was not given before: a store of at least that was in it at the start, or it makes energy.  It
-makes energy where W falls to a new low in each of the last parts of the run and the fall does not slacken: a store that empties
-gives less and less, which no finite one can put off.
+makes energy where it goes on giving to the end: a part `GOES_ON` of what it gave in the whole run in the second half, such a part
+of that in the last quarter, and of that in the last eighth.  A store that empties as exp(-t / T) does not, once the run is longer
+than 2.2 T.
 """
 
 from __future__ import annotations
@@ -36,10 +37,12 @@ PREDICTED = "predictions of members stepped last"
 #: words of the log: the test of a step that was kept though it did not converge; the part that estimates missed
 _KEPT, _MISSED = "unconverged", "estimated ports"
 
-#: parts of the run at whose ends W is looked at; of them those that have to be new lows
-MARKS, LOWS = 8, 4
-#: of the fall of one half of these, what the other half brings; less is a store that empties
-GOES_ON = 0.6
+#: parts of the run at whose ends the least W is looked at
+MARKS = 8
+#: of what was given out in a time, what is given in its second half by whom no store explains
+GOES_ON = 0.25
+#: of sum |energy of its ports|: to this part the quadrature of a unit's ports is known, (w h)^2 / 12 with w h = 0.1
+KNOWN = 1e-3
 #: of what was exchanged: less is not worth a sentence
 WORTH = 1e-9
 
@@ -94,12 +97,12 @@ class MemberBlame:
 
     @property
     def makes(self) -> bool:
-        """Whether it gives out without an end: each of the last parts of the run has a new low, and the fall goes on."""
-        lows = np.array(self.lows[-LOWS - 1 :])
-        if len(lows) <= LOWS or self.least >= -1e-3 * self.gross:
+        """Whether it goes on giving out more than it was given, to the end of the run."""
+        if len(self.lows) < MARKS or self.least >= -KNOWN * self.gross:
             return False
-        falls = -np.diff(lows)
-        return bool((falls > 0.0).all() and falls[LOWS // 2 :].sum() > GOES_ON * falls[: LOWS // 2].sum())
+        given = -np.diff([*(self.lows[i] for i in (3, 5, 6)), self.lows[-1]])
+        left = np.cumsum(given[::-1])[::-1]  # in the second half, last quarter, last eighth
+        return bool((left >= GOES_ON * np.array([-self.least, *left[:-1]])).all() and left[-1] > 0.0)
 
 
 @dataclass

@@ -7,8 +7,10 @@ A fault is admitted where the energies of a run can tell it at all.  It is left 
   exchanged;
 - its member keeps no books and stays passive: W(t) >= -H(0) at all times.  A passive member with the same store at the start can
   have given the same energies (J. C. Willems, Dissipative dynamical systems, Arch. Rational Mech. Anal. 45, 1972, 321);
-- its member keeps no books, and gave out less than a part `EMPTIES` of it in the second half of the run: a store at the start
-  that empties, exp(-t / T) within 2.2 T, explains that.
+- its member keeps no books, and gave out no more than a part `KNOWN` of its sum |energy of the ports|, which is what a
+  quadrature of the ports is known to;
+- its member keeps no books, and gave out less than a quarter of it in the second half of the run: a store that empties explains
+  that.
 """
 
 from __future__ import annotations
@@ -22,14 +24,12 @@ from typing import Any
 
 import numpy as np
 
-from phfmu.audit.blame import Finding, blame, findings
+from phfmu.audit.blame import GOES_ON, KNOWN, Finding, blame, findings
 from phfmu.studies.blame.faults import Fault, FaultKind, FaultyMember, Where
 from phfmu.studies.blame.networks import COUPLINGS, KINDS, STEPS, Drawn, draw, members
 
 #: of the energy that a member exchanges: a fault that makes less has not acted
 ACTED = 1e-6
-#: of all that a member gives out, what it has to give in the second half of the run not to be a store that empties
-EMPTIES = 0.25
 UNITS = (1e3, 1e-3, 60.0 / (2.0 * np.pi), 2.0 * np.pi / 60.0, np.pi / 180.0, 180.0 / np.pi, 1e6, 1e-6)
 
 
@@ -39,6 +39,7 @@ class LeftOut(StrEnum):
     REFUSED = "refused before the first step"
     IDLE = "changed nothing"
     PASSIVE = "the member stays passive"
+    SMALL = "less than its estimate is known to"
     ENDS = "a store at the start explains it"
 
 
@@ -146,7 +147,9 @@ def _left_out(member: FaultyMember) -> str:
     first, least = W[: len(W) // 2 + 1].min(), W.min()
     if least >= -member.had * (1.0 + ACTED):
         return LeftOut.PASSIVE
-    return LeftOut.ENDS if first - least < EMPTIES * -least else ""
+    if least >= -KNOWN * member.gross:
+        return LeftOut.SMALL
+    return LeftOut.ENDS if first - least < -GOES_ON * least else ""
 
 
 def _judge(found: Outcome, log: Path) -> None:

@@ -23,8 +23,8 @@ from phfmu.network.network import Network
 KINDS = {"electrical": ("C",), "translational": ("m",), "rotational": ("J",), "mixed": ("C", "J")}
 COUPLINGS = ("jacobi", "gauss-seidel", "newton", "anderson")
 #: step sizes (s) by whether the coupling repeats steps, where members swing at about 1 rad/s
-STEP_SIZES = {False: (0.02, 0.03, 0.05), True: (0.05, 0.1, 0.2)}
-STEPS = 600
+STEP_SIZES = {False: (0.05, 0.06, 0.08), True: (0.06, 0.1, 0.2)}
+STEPS = 400
 
 
 @dataclass(frozen=True)
