@@ -6,9 +6,8 @@ given up or left something, or the prediction of a member that is stepped last.
 
 Of a member W(t) is the energy through its ports since the start, positive into it.  One that keeps no books (a unit of another
 tool) has given out -min W that it was not given before: a store of at least that was in it at the start, or it makes energy.  It
-makes energy where it goes on giving to the end: a part `GOES_ON` of what it gave in the whole run in the second half, such a part
-of that in the last quarter, and of that in the last eighth.  A store that empties as exp(-t / T) does not, once the run is longer
-than 2.2 T.
+makes energy where it goes on giving: in the second half of the run a part `GOES_ON` of all, and in the last quarter more than the
+estimate is known to.  A store that empties as exp(-t / T) does not, once the run is longer than 2.2 T.
 """
 
 from __future__ import annotations
@@ -38,8 +37,8 @@ PREDICTED = "predictions of members stepped last"
 _KEPT, _MISSED = "unconverged", "estimated ports"
 
 #: parts of the run at whose ends the least W is looked at
-MARKS = 8
-#: of what was given out in a time, what is given in its second half by whom no store explains
+MARKS = 4
+#: of what a member gives out in a run, what it gives in the second half if no store explains it
 GOES_ON = 0.25
 #: of sum |energy of its ports|: to this part the quadrature of a unit's ports is known, (w h)^2 / 12 with w h = 0.1
 KNOWN = 1e-3
@@ -100,9 +99,8 @@ class MemberBlame:
         """Whether it goes on giving out more than it was given, to the end of the run."""
         if len(self.lows) < MARKS or self.least >= -KNOWN * self.gross:
             return False
-        given = -np.diff([*(self.lows[i] for i in (3, 5, 6)), self.lows[-1]])
-        left = np.cumsum(given[::-1])[::-1]  # in the second half, last quarter, last eighth
-        return bool((left >= GOES_ON * np.array([-self.least, *left[:-1]])).all() and left[-1] > 0.0)
+        _, half, late, end = self.lows
+        return half - end >= -GOES_ON * end and late - end > KNOWN * self.gross
 
 
 @dataclass
