@@ -62,13 +62,13 @@ class Outcome:
     control: list[str] = field(default_factory=list)
 
 
-def outcome(seed: int, number: int, attempt: int = 0) -> Outcome:
-    """Case `number` of a seed; what is left out is drawn again as another attempt."""
+def outcome(seed: int, number: int, attempt: int = 0, most: int = 8) -> Outcome:
+    """Case `number` of a seed, of 2 to `most` members; what is left out is drawn again as another attempt."""
     rng = np.random.default_rng([seed, number, attempt])
     kinds = tuple(FaultKind)
     kind = kinds[number % len(kinds)]
     coupling = COUPLINGS[number // len(kinds) % len(COUPLINGS)]
-    drawn = draw(rng, int(rng.integers(2, 9)), str(rng.choice(list(KINDS))), coupling)
+    drawn = draw(rng, int(rng.integers(2, most + 1)), str(rng.choice(list(KINDS))), coupling)
     guilty, fault, where = _planted(rng, drawn, kind)
     found = Outcome(number, drawn, guilty, fault, where)
     with TemporaryDirectory() as folder:

@@ -1,8 +1,8 @@
 """Seeded networks of 2 to 8 members: trees of stores that are joined by springs, shafts, inductances and motors.
 
-Stores (mass, rotor, capacitor) give each junction its value and lose energy; links (spring, shaft, inductance) take two of them.  A
-motor takes a voltage and has a rotor, so that it joins an electrical part to a rotating one.  In most networks a source, whose work
-is booked, drives one store with a sine.
+Stores (mass, rotor, capacitor) give each junction its value and lose energy; links (spring, shaft, inductance) take two of them.
+A motor takes a voltage and has a rotor, so that it joins an electrical part to a rotating one.  In most networks a source, whose
+work is booked, drives one store with a sine.
 """
 
 from __future__ import annotations
@@ -29,9 +29,10 @@ STEPS = 400
 
 @dataclass(frozen=True)
 class Drawn:
-    """A network with its coupling and step [s]; `dampers`: by member a parameter that is a damper.
+    """A network with its coupling and step [s].
 
-    unconverged:  what is done with steps that do not converge;  booked:  members that keep books;  driven: the one with a source, or ""
+    unconverged:  what is done with steps that do not converge;  booked:  members that keep books;  driven:  the one with a
+    source, or "";  dampers:  by member a parameter that is a damper
     """
 
     network: Network
