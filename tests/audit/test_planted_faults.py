@@ -43,6 +43,7 @@ def test_networks_are_drawn_as_asked() -> None:
     assert [*again[0].network.members] == [*again[1].network.members] and again[0].booked == again[1].booked
 
 
+@pytest.mark.slow
 def test_a_gain_of_a_store_without_books_is_left_out(compiler: None) -> None:
     """It is a store of another size: passive, whatever the gain."""
     for attempt in range(200):
@@ -52,9 +53,8 @@ def test_a_gain_of_a_store_without_books_is_left_out(compiler: None) -> None:
     assert found.fault.kind is FaultKind.GAIN and found.left_out == LeftOut.PASSIVE
 
 
-def test_the_page_tells_what_was_left_out(compiler: None) -> None:
-    case = outcome(3, 6, most=2)
-    found = Found(3, [case] if not case.left_out else [])
+def test_the_page_tells_what_was_left_out() -> None:
+    found = Found(3)
     found.left_out[FaultKind.GAIN, LeftOut.PASSIVE] = 4
     assert "| gain | 0 | 0 | 0 | 0 | 0 | 0 | 4 | 0 | 0 |" in table(found)
     assert summary(found) in page([found]) and "4 draws left out" in summary(found)

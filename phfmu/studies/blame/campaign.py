@@ -74,10 +74,11 @@ def outcome(seed: int, number: int, attempt: int = 0, most: int = 8) -> Outcome:
     with TemporaryDirectory() as folder:
         member, log = _run(drawn, Path(folder) / "a.parquet", guilty, fault, where)
         found.left_out = LeftOut.REFUSED if log is None else _left_out(member)
-        if not found.left_out:
-            _judge(found, log)
-            clean = _run(drawn, Path(folder) / "b.parquet", guilty, None, where)[1]
-            found.control = [f"{f.subject} {f.name}" for f in _findings(clean) if f.accuses]
+        if log is None or found.left_out:
+            return found
+        _judge(found, log)
+        clean = _run(drawn, Path(folder) / "b.parquet", guilty, None, where)[1]
+        found.control = [] if clean is None else [f"{f.subject} {f.name}" for f in _findings(clean) if f.accuses]
     return found
 
 

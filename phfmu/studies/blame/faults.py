@@ -87,8 +87,8 @@ class FaultyMember:
     def __init__(self, inner: EngineMember, fault: Fault | None, where: Where):
         self.inner, self.where = inner, where
         if fault and fault.kind is FaultKind.DAMPER:
-            place, p = inner._inputs.parameters[fault.parameter], inner.instance.parameters.copy()
-            p[place] *= fault.size
+            p = inner.instance.parameters.copy()
+            p[inner.parameter_places([fault.parameter])] *= fault.size
             inner.instance.set_parameters(p)
             fault = None
         self.fault, self._past = fault, Past()
@@ -140,9 +140,6 @@ class FaultyMember:
     def set_input(self, u: Array) -> None:
         self._u = u.copy()
         self.inner.set_input(self._inside(u))
-
-    def took(self, u: Array) -> None:
-        self.set_input(u)
 
     def begin(self, u: Array) -> None:
         self._u = u.copy()
