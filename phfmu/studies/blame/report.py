@@ -46,9 +46,9 @@ A fault that the energies cannot show in principle is drawn again, by these rule
   of the run.
 - *refused before the first step*: there is no log.
 
-The last two rules of members without books use the bounds by which `--why` does not blame them: what they leave out is what
-it leaves out, and they are counted here for that reason. A gain, a sign or a delay of a signal without power, such as a set
-point, is in no energy, and not in the campaign.
+"Less than its estimate is known to" and "a store at the start explains it" use the bounds by which `--why` does not blame
+members without books: what they leave out, it would not name. They are counted for that reason. A gain, a sign or a delay of a
+signal without power, such as a set point, is in no energy, and not in the campaign.
 
 Seed 1 is the one whose misses were looked at when the rules of `--why` were made.
 

@@ -194,9 +194,15 @@ class CalledShare:
 
 
 def _held_against(part: Part) -> dict[int, int]:
-    """Pairs of a member's books -> its inputs: of a member that another program steps, keeps books, and takes no impulses."""
+    """Pairs of a member's books -> its inputs, of a member that is neither stepped here nor a unit, keeps books, and takes no
+    impulses.
+    """
     member = part.member
     if isinstance(member, EngineMember) or part.kicks or member.booking.estimated or member.booking.silent:
+        return {}
+    from phfmu.network.members.fmu_member import FMUMember  # runs without units do not load their reader
+
+    if isinstance(member, FMUMember):
         return {}
     pairs = [(p.component, p.port) for p in member.booking.ports]
     found: dict[int, int] = {}
