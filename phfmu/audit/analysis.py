@@ -31,7 +31,7 @@ Ints = NDArray[np.int64]
 WAITING_ROWS = 1 << 22
 
 _STEPPED = (RowKind.COMPONENT, RowKind.PORT, RowKind.JUNCTION, RowKind.PART)
-_OPTIONAL = ("numerical", "moved", "varying")
+_OPTIONAL = ("numerical", "moved", "varying", "exchanged")
 
 
 def audit_table(
@@ -221,8 +221,11 @@ class _Reader:
         H0, H1, stored = (required(rows, name, c) for name in ("H0", "H1", "dH"))
         lost, gained = (required(rows, name, c, 0.0) for name in ("dissipated", "supplied"))
         pairs, damped, moved = required(ports, "supplied", q), optional("numerical"), optional("moved")
+        exchanged = None
+        if ports is not None and (there := ports.numbers["exchanged"][1])[:q].any():
+            exchanged = np.where(there, ports.values("exchanged"), ports.values("supplied")).reshape(n, q)
         works = required(parts, "residual", divided) if booking.parts else None
-        steps = Steps(H1, stored, lost, gained, pairs, damped, moved, works=works)
+        steps = Steps(H1, stored, lost, gained, pairs, damped, moved, works=works, exchanged=exchanged)
         t0, h, varying = network.values("t0"), network.values("h"), optional("varying")
         block = book_steps(booking, network.step, t0, h, steps, H0, varying=varying)
         self._contradictions.hold(self.ledger.take(block), tables)

@@ -6,20 +6,24 @@ given up or left something, or the prediction of a member that is stepped last.
 
 Of a member W(t) is the energy through its ports since the start, positive into it.  One that keeps no books (a unit of another
 tool) has given out -min W that it was not given before: a store of at least that was in it at the start, or it makes energy.  It
-makes energy where W falls to a new low in each of the last parts of the run, which no store that is finite explains for long.
+makes energy where it goes on giving: in the second half of the run a part `GOES_ON` of all, and in the last quarter more than the
+estimate is known to.  A store that empties as exp(-t / T) does not, once the run is longer than 2.2 T.
 """
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from phfmu.audit.analysis import summarise
+from phfmu.audit.judge import DEFAULT_RTOL
 from phfmu.audit.kinds import Quality, RowKind
 from phfmu.audit.log.reading import Batches, Interned, LogRows
+from phfmu.audit.violation import COMPONENT, JUNCTION, Violation, ViolationKind
 from phfmu.words import first_few
 
 if TYPE_CHECKING:
@@ -32,8 +36,12 @@ PREDICTED = "predictions of members stepped last"
 #: words of the log: the test of a step that was kept though it did not converge; the part that estimates missed
 _KEPT, _MISSED = "unconverged", "estimated ports"
 
-#: parts of the run at whose ends W is looked at; of them those that have to be new lows
-MARKS, LOWS = 8, 4
+#: parts of the run at whose ends the least W is looked at
+MARKS = 4
+#: of what a member gives out in a run, what it gives in the second half if no store explains it
+GOES_ON = 0.25
+#: of sum |energy of its ports|: to this part the quadrature of a unit's ports is known, (w h)^2 / 12 with w h = 0.1
+KNOWN = 1e-3
 #: of what was exchanged: less is not worth a sentence
 WORTH = 1e-9
 
@@ -43,6 +51,14 @@ _REMEDIES = {
     UNCONVERGED: "--unconverged halve, or a smaller step",
     ITERATED: "it is what the tolerance of the iteration leaves; a smaller step leaves less",
     PREDICTED: "a smaller step, or a member that can save its state (`phfmu vet` says whether it does)",
+}
+#: books that are judged -> violations of them
+_BOOKS = {"member": COMPONENT, "port": (ViolationKind.EXCHANGED,), "junction": JUNCTION}
+_CONTRADICTIONS = {
+    "member": "its books do not close: look at its declared losses, and at what it tells of its ports and of its energy",
+    "port": "what it takes is not what it is given, or what it gives is not what is told: look at the sign, the unit and the "
+    "delay between it and its junction",
+    "junction": "the energies that its members book there do not add up: look at signs, units and delays between them",
 }
 
 
@@ -65,7 +81,7 @@ class JunctionBlame:
 
 @dataclass
 class MemberBlame:
-    """A member over a run, energies in J: `net` W at the end, `gross`, the least W with its time (s), W at the marks.
+    """A member over a run, energies in J: `net` W at the end, `gross`, the least W with its time (s), the least up to each mark.
 
     `quality`: of its ports, see `Quality`.
     """
@@ -76,16 +92,15 @@ class MemberBlame:
     gross: float = 0.0
     least: float = 0.0
     least_t: float = 0.0
-    marks: list[float] = field(default_factory=list)
+    lows: list[float] = field(default_factory=list)
 
     @property
     def makes(self) -> bool:
-        """Whether it gives out without an end: W is lower at each of the last marks, and most of the fall goes on."""
-        lows = np.array(self.marks[-LOWS - 1 :])
-        if len(lows) <= LOWS or self.least >= -1e-3 * self.gross:
+        """Whether it goes on giving out more than it was given, to the end of the run."""
+        if len(self.lows) < MARKS or self.least >= -KNOWN * self.gross:
             return False
-        falls = -np.diff(lows)
-        return bool((falls > 0.0).all() and falls[-1] > 0.25 * falls[0])
+        _, half, late, end = self.lows
+        return half - end >= -GOES_ON * end and late - end > KNOWN * self.gross
 
 
 @dataclass
@@ -94,9 +109,12 @@ class Blame:
 
     junctions: list[JunctionBlame]
     members: list[MemberBlame]
+    violations: list[Violation] = field(default_factory=list)
+    #: member of each port, `member.port`
+    owners: dict[str, str] = field(default_factory=dict)
 
 
-def blame(source: pa.Table | str | os.PathLike[str]) -> Blame:
+def blame(source: pa.Table | str | os.PathLike[str], rtol: float = DEFAULT_RTOL) -> Blame:
     """Net and gross energies of the junctions and members of an audit log; two passes, memory does not grow with it.
 
     Errors: ValueError for what is not an audit log.
@@ -105,7 +123,7 @@ def blame(source: pa.Table | str | os.PathLike[str]) -> Blame:
     batches = Batches(source)
     for batch in batches:
         found.take(batch, batches.interned)
-    return found.blame()
+    return replace(found.blame(), violations=summarise(source, rtol).violations)
 
 
 def _kept(source: pa.Table | str | os.PathLike[str]) -> tuple[dict[int, str], tuple[float, float]]:
@@ -130,6 +148,7 @@ class _Gathering:
         self._marks = start + (end - start) * np.arange(1, MARKS + 1) / MARKS
         self.junctions: dict[str, JunctionBlame] = {}
         self.members: dict[str, MemberBlame] = {}
+        self._owners: dict[str, str] = {}
         self._divided: set[str] = set()
 
     def take(self, batch: dict[RowKind, LogRows], interned: Interned) -> None:
@@ -148,6 +167,9 @@ class _Gathering:
             if junction >= 0:
                 known = self._junction(interned.name(junction) or "").members
                 known += [n for n in [interned.name(component) or ""] if n not in known]
+        for component, port in {*zip(rows.names["component"].tolist(), rows.names["port"].tolist(), strict=True)}:
+            name = interned.name(component) or ""
+            self._owners[f"{name}.{interned.name(port)}"] = name
         for code in np.unique(rows.names["component"]):
             own = rows.names["component"] == code
             name = interned.name(code) or ""
@@ -160,11 +182,12 @@ class _Gathering:
         last = np.flatnonzero(np.append(np.diff(ends) > 0.0, True))
         W, times = member.net + np.cumsum(energies)[last], ends[last]
         member.gross += float(np.abs(energies).sum())
+        lows = np.minimum(np.minimum.accumulate(W), member.least)
+        while len(member.lows) < MARKS and times[-1] >= (mark := self._marks[len(member.lows)] * (1.0 - 1e-12)):
+            member.lows.append(float(lows[np.searchsorted(times, mark)]))
         i = int(np.argmin(W))
         if W[i] < member.least:
             member.least, member.least_t = float(W[i]), float(times[i])
-        while len(member.marks) < MARKS and times[-1] >= self._marks[len(member.marks)] * (1.0 - 1e-12):
-            member.marks.append(float(W[np.searchsorted(times, self._marks[len(member.marks)] * (1.0 - 1e-12))]))
         member.net = float(W[-1])
 
     def _parts(self, rows: LogRows, interned: Interned) -> None:
@@ -211,47 +234,74 @@ class _Gathering:
     def blame(self) -> Blame:
         """Those that made most come first."""
         junctions = sorted(self.junctions.values(), key=lambda j: -j.gross)
-        return Blame(junctions, sorted(self.members.values(), key=lambda m: m.least))
+        return Blame(junctions, sorted(self.members.values(), key=lambda m: m.least), owners=self._owners)
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A sentence about a "member" or "junction" of that name; `accuses`: it tells of a fault, not of what a coupling costs."""
+
+    subject: str
+    name: str
+    text: str
+    accuses: bool
+
+
+def findings(found: Blame) -> list[Finding]:
+    """What books contradict comes first, then members that make energy, then what the coupling made, each by its size."""
+    makers = [f for f in _of_members(found) if f.accuses]
+    stores = [f for f in _of_members(found) if not f.accuses]
+    return [*_of_violations(found), *makers, *_of_junctions(found), *stores]
 
 
 def why(found: Blame) -> list[str]:
-    """Sentences, the largest energies first, each with its remedy."""
-    told = sorted([*_of_junctions(found), *_of_members(found)], reverse=True)
+    """Sentences in the order of `findings`, each with its remedy."""
+    told = findings(found)
     if not told:
         nothing = f"No junction made more than {WORTH:g} of what it exchanged"
         return [f"{nothing}, and no member gave out what it had not been given."]
-    return [sentence for _, sentence in told]
+    return [f.text for f in told]
 
 
-def _of_junctions(found: Blame) -> Iterator[tuple[float, str]]:
+def _of_violations(found: Blame) -> Iterator[Finding]:
+    """A sentence for each member, port, and junction whose books do not close, each by its worst step, in that order."""
+    worst = sorted(found.violations, key=lambda v: -v.ratio)
+    for subject, kinds in _BOOKS.items():
+        for name in dict.fromkeys(v.name for v in worst if v.kind in kinds):
+            own = next(v for v in worst if v.name == name and v.kind in kinds)
+            text = f"{subject.capitalize()} {own}. Next: {_CONTRADICTIONS[subject]}."
+            about = ("member", found.owners.get(name, name)) if subject == "port" else (subject, name)
+            yield Finding(*about, text, True)
+
+
+def _of_junctions(found: Blame) -> Iterator[Finding]:
     for j in found.junctions:
         if j.gross <= WORTH * j.exchanged:
             continue
         causes = [c for c in sorted(j.causes, key=lambda c: -j.causes[c]) if j.causes[c] > 0.01 * j.gross]
         shares = ", ".join(f"{j.causes[c] / sum(j.causes.values()):.0%} by {c}" for c in causes)
         share = f" ({100.0 * j.gross / j.exchanged:.2g} %)" if j.exchanged else ""
-        yield (
-            j.gross,
+        yield Finding(
+            "junction",
+            j.junction,
             f"Junction {j.junction} of {first_few(j.members)} made {j.gross:.3g} J gross, {j.net:.3g} J net, of "
             f"{j.exchanged:.3g} J exchanged{share}: {shares}; most at t = {j.worst_t:.6g} s ({j.worst:.3g} J in a step). "
             f"Next: {_REMEDIES[causes[0]]}.",
+            False,
         )
 
 
-def _of_members(found: Blame) -> Iterator[tuple[float, str]]:
+def _of_members(found: Blame) -> Iterator[Finding]:
     for m in found.members:
         if m.quality == Quality.EXACT or m.least >= -WORTH * m.gross or not m.gross:
             continue
         given = f"Member {m.component} has given out {-m.least:.3g} J more than it was given by t = {m.least_t:.6g} s"
         if m.makes:
-            yield (
-                -m.least,
+            text = (
                 f"{given}, and goes on to the end of the run: it makes energy, or has a source. "
-                f"Next: look at the sign and the units of its ports, and try `phfmu vet` on it (claim passivity).",
+                "Next: look at the sign and the units of its ports, and try `phfmu vet` on it (claim passivity)."
             )
         else:
             # what a store explains says nothing against it: it comes after all that was made
-            yield (
-                0.0,
-                f"{given}: it had a store of at least that at the start, since it keeps no books.",
-            )
+            text = f"{given}: it had a store of at least that at the start, since it keeps no books."
+        yield Finding("member", m.component, text, m.makes)

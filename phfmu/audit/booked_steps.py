@@ -93,6 +93,7 @@ def _checked(s: Steps, n: int, c: int, q: int, parts: int) -> Steps:
         numerical=_maybe("numerical", s.numerical, shape),
         moved=_maybe("moved", s.moved, shape),
         works=None if s.works is None else _table("works", s.works, (n, parts)),
+        exchanged=_maybe("exchanged", s.exchanged, (n, q)),
         terms=None if s.terms is None else np.array(s.terms, np.float64, ndmin=2),
         iterations=_maybe("iterations", s.iterations, (n,)),
         accepted_by=None if s.accepted_by is None else np.array(s.accepted_by),

@@ -93,6 +93,7 @@ class Judge:
             if names:
                 booked = block.steps.supplied - plain(block.steps.pairs, booking.owned)
                 self._mark(ViolationKind.PORTS, names, booked, allowed, block, judged)
+            self._ports(block, allowed)
             changes = self._changes(accounts, block, in_step, H)
             missed = allowed if judged.all() else np.where(judged, allowed, np.abs(block.residual))
             joined = self._joined(block, missed, reach, varying)
@@ -104,6 +105,17 @@ class Judge:
         if self.rtol != DEFAULT_RTOL:
             found = ratio(block.residual, DEFAULT_RTOL * in_play + rounding + of_H)
         return DEFAULT_RTOL * found
+
+    def _ports(self, block: BookedSteps, allowed: Floats) -> None:
+        """Books of ports against the values that were exchanged there; `allowed` [n,c]."""
+        told, booking = block.steps.exchanged, block.booking
+        if told is None:
+            return
+        names = tuple(f"{p.component}.{p.port}" for p in booking.ports)
+        at = {name: i for i, name in enumerate(booking.components)}
+        own = [at.get(p.component, -1) for p in booking.ports]
+        within = np.where([i >= 0 for i in own], allowed[:, own], np.inf) + self.rtol * np.abs(told)
+        self._mark(ViolationKind.EXCHANGED, names, told - block.steps.pairs, within, block)
 
     def _add(self, accounts: list[Account], columns: tuple[Floats, Floats, Floats, Floats]) -> None:
         """To the sums of the run, all at once: what they cost is the call, where events make the blocks short."""

@@ -21,6 +21,8 @@ class ViolationKind(StrEnum):
     CHANGE = "change"
     RUN = "run"
     DRIFT = "drift"
+    # of a port
+    EXCHANGED = "exchanged"
     # of a junction
     JUNCTION = "junction"
     PARTS = "parts"
@@ -56,6 +58,8 @@ _TEXT = {
     ViolationKind.CHANGE: "{name}: step {step} at t = {t0:.9g} s changes H by {size:.3e} J more than it books as stored",
     ViolationKind.RUN: "{name}: the steps of the run miss {size:.3e} J together",
     ViolationKind.DRIFT: "{name}: H changed by {size:.3e} J more than the steps and events of the run book",
+    ViolationKind.EXCHANGED: "{name}: step {step} at t = {t0:.9g} s passes {size:.3e} J more by the values that were exchanged "
+    "than its member books",
     ViolationKind.PARTS: "{name}: step {step} at t = {t0:.9g} s: the parts of the junction's energy miss {size:.3e} J of it",
     ViolationKind.JUNCTION: "{name}: step {step} at t = {t0:.9g} s creates {size:.3e} J at the junction",
     ViolationKind.UNEXPLAINED: "{name}: step {step} at t = {t0:.9g} s leaves {size:.3e} J unexplained",

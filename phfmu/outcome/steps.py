@@ -62,6 +62,8 @@ class Steps:
     accepted_by: Array | None = None
     #: what a coupling did at its junctions, part by part (n x parts), None where its junctions have no parts
     works: Array | None = None
+    #: energy through each pair by the values that were exchanged (n x q), None where no member could book another
+    exchanged: Array | None = None
     #: what each energy stored and each part of R dissipated (n x terms), None unless asked for
     terms: Array | None = None
     #: columns of the result table at the ends (n x names), empty where there is no table

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from phfmu.audit import AuditWriter, Booking, Ledger, PortKey, summarise
-from phfmu.audit.blame import EXTRAPOLATED, UNCONVERGED, blame, why
+from phfmu.audit.blame import EXTRAPOLATED, UNCONVERGED, blame, findings, why
 from phfmu.audit.kinds import Quality
 from phfmu.cli import main
 from phfmu.outcome.steps import Steps
@@ -60,6 +60,72 @@ def test_a_member_that_gives_without_an_end_is_named_with_the_time(tmp_path: Pat
     told = why(blame(path))
     assert any("Member motor has given out 200 J" in s and "makes energy" in s for s in told)
     assert "Member spring" in told[-1] and "store of at least that" in told[-1]
+
+
+@pytest.mark.parametrize(("begin", "rate"), [(0.0, 2.5), (0.0, 16.0), (0.6, 50.0)])
+def test_a_store_that_empties_is_not_blamed(tmp_path: Path, begin: float, rate: float) -> None:
+    """It gives ever less, over the whole run, or is empty before the last quarter: W = -(1 - exp(-rate (t - begin)))."""
+    t = np.linspace(0.0, 1.0, N + 1)
+    W = -(1.0 - np.exp(-np.maximum(t - begin, 0.0) * rate))
+    path = logged(tmp_path / "a.parquet", np.stack([np.diff(W), swinging(3.0)], axis=1))
+    members = {m.component: m for m in blame(path).members}
+    assert members["motor"].least == pytest.approx(W[-1]) and not members["motor"].makes
+    assert not any(f.accuses for f in findings(blame(path)))
+
+
+def test_what_grows_is_blamed_and_what_swings_with_it_is_not(tmp_path: Path) -> None:
+    """One makes exp(8 t) of energy, with which both stores swing: W = -exp(8 t) + swing, and a swing."""
+    t = np.linspace(0.0, 1.0, N + 1)
+    swing = np.exp(8.0 * t) * np.sin(40.0 * t) ** 2
+    W = np.stack([-np.exp(8.0 * t) - swing, swing], axis=1)
+    motor, spring = blame(logged(tmp_path / "a.parquet", np.diff(W, axis=0))).members
+    assert motor.component == "motor" and motor.makes and not spring.makes
+
+
+def told_otherwise(path: Path, factor: float) -> Path:
+    """A log of two members with books, whose junction closes by what was exchanged, but one books `factor` times that."""
+    ports = tuple(PortKey(m, "p", None, "bond") for m in ("motor", "spring"))
+    booking = Booking(("motor", "spring"), ports, loose=True)
+    made = np.stack([np.full(N, 1.0), np.full(N, -1.0)], axis=1)
+    supplied = made * [1.0, factor]
+    steps = Steps(
+        H=np.cumsum(supplied, axis=0), stored=supplied, dissipated=np.zeros((N, 2)), supplied=supplied, pairs=supplied,
+        exchanged=made,
+    )  # fmt: skip
+    with AuditWriter(path) as sink:
+        ledger = Ledger(sink)
+        ledger.add(booking, np.arange(N), H * np.arange(N), np.full(N, H), steps)
+        assert ledger.summary().closed == (factor == 1.0)
+    return path
+
+
+@pytest.mark.parametrize("factor", [1.0, 1.001, -1.0])
+def test_a_port_that_books_other_than_what_was_exchanged_comes_first(tmp_path: Path, factor: float) -> None:
+    path = told_otherwise(tmp_path / "a.parquet", factor)
+    found = summarise(path).violations
+    assert [(v.name, v.steps) for v in found] == ([] if factor == 1.0 else [("spring.p", N)])
+    told = findings(blame(path))
+    if factor == 1.0:
+        assert told == []
+        return
+    assert (told[0].subject, told[0].name, told[0].accuses) == ("member", "spring", True)
+    assert told[0].text.startswith("Port spring.p: step 0 at t = 0 s passes") and f"({N} steps)" in told[0].text
+    assert told[1].subject == "junction" and not told[1].accuses
+
+
+def test_a_member_whose_balance_does_not_close_comes_before_what_the_coupling_made(tmp_path: Path) -> None:
+    ports = tuple(PortKey(m, "p", None, "bond") for m in ("motor", "spring"))
+    booking, into = (
+        Booking(("motor", "spring"), ports, loose=True),
+        np.stack([np.full(N, 6.0), np.full(N, -5.0)], axis=1),
+    )
+    stored = into * [1.0, 0.99]
+    steps = Steps(H=np.cumsum(stored, axis=0), stored=stored, dissipated=np.zeros((N, 2)), supplied=into, pairs=into)
+    with AuditWriter(tmp_path / "a.parquet") as sink:
+        Ledger(sink).add(booking, np.arange(N), H * np.arange(N), np.full(N, H), steps)
+    told = findings(blame(tmp_path / "a.parquet"))
+    assert [(f.subject, f.name, f.accuses) for f in told] == [("member", "spring", True), ("junction", "bond", False)]
+    assert "Member spring: step" in told[0].text and "misses" in told[0].text
 
 
 def test_steps_that_were_given_up_are_told_apart(tmp_path: Path) -> None:

@@ -42,7 +42,7 @@ COLUMNS: dict[str, ColumnType] = {
     "residual_rel": ColumnType.F64,  # r |residual| / (what r = 1e-11 allows), whatever --audit-rtol: closed at r if not above r
     "moved": ColumnType.F64,  # [J] sum over the component's energies of |change|; where null, varying counts
     "varying": ColumnType.F64,  # [J] max(|H0|, |H1|) without what of H is constant; where null, max(|H0|, |H1|) counts
-    "exchanged": ColumnType.F64,  # [J] junction: half the sum of |supplied|
+    "exchanged": ColumnType.F64,  # [J] junction: half the sum of |supplied|; port: by the values that were exchanged
     "junction_residual": ColumnType.F64,  # [J] network: sum over the junctions
     "unexplained": ColumnType.F64,  # [J] network: balance - junction_residual
     "cum_dissipated": ColumnType.F64,
@@ -71,7 +71,7 @@ FIELDS: dict[RowKind, tuple[str, ...]] = {
         *("component", "H0", "H1", "dH", "dissipated", "supplied", "numerical", "residual", "moved", "quality"),
         *("varying", "residual_rel"),
     ),
-    RowKind.PORT: ("component", "port", "index", "junction", "quality", "supplied"),
+    RowKind.PORT: ("component", "port", "index", "junction", "quality", "supplied", "exchanged"),
     RowKind.JUNCTION: ("junction", "quality", "residual", "exchanged"),
     RowKind.PART: ("junction", "part", "residual"),
     RowKind.NETWORK: (
@@ -144,7 +144,7 @@ def block_sections(block: BookedSteps, encode: Encode) -> list[Section]:
     if booking.ports:
         keys = ("component", "port", "index", "junction", "quality")
         names = {name: [getattr(port, name) for port in booking.ports] for name in keys}
-        sections.append(_repeat(block, RowKind.PORT, names, {"supplied": s.pairs}, encode))
+        sections.append(_repeat(block, RowKind.PORT, names, {"supplied": s.pairs, "exchanged": s.exchanged}, encode))
     if booking.junctions:
         values = {"residual": block.junction_residual, "exchanged": block.junction_exchanged}
         names = {"junction": list(booking.junctions)}

@@ -97,7 +97,7 @@ _NEEDED: dict[RowKind, tuple[str, ...]] = {
         *("H0", "H1", "dH", "dissipated", "supplied", "numerical", "moved", "residual", "residual_rel"),
         *("varying", "component", "quality"),
     ),
-    RowKind.PORT: ("supplied", "index", "component", "port", "junction", "quality"),
+    RowKind.PORT: ("supplied", "exchanged", "index", "component", "port", "junction", "quality"),
     RowKind.JUNCTION: ("junction", "quality", "residual", "exchanged"),
     RowKind.PART: FIELDS[RowKind.PART],
     RowKind.TERM: FIELDS[RowKind.TERM],

@@ -123,8 +123,10 @@ class Ordinary:
         return self._rows.tolist()
 
     def _columns(self, s: Steps, H0: ArrayLike | None) -> dict[str, Floats] | None:
-        """The columns of the steps; None where one has not the shape that it should have."""
+        """The columns of the steps; None where one has not the shape that it should have, or is not summed here."""
         names = ("H", "stored", "dissipated", "supplied", "numerical", "moved", "pairs", "works")
+        if s.exchanged is not None:
+            return None
         asked = {name: x for name in names if (x := getattr(s, name)) is not None}
         asked["H0"] = np.asarray(s.H) - s.stored if H0 is None else H0
         found = {name: np.ascontiguousarray(x, np.float64) for name, x in asked.items()}

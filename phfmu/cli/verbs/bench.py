@@ -1,4 +1,4 @@
-"""phfmu bench: error against run time beside peers; scaling; observed orders; published results reproduced."""
+"""phfmu bench: error against run time beside peers; scaling; orders; planted faults; published results reproduced."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def add_parser(verbs: Any) -> None:
     parser = verbs.add_parser("bench", help="error against run time, beside peers")
     parser.add_argument(
         "target",
-        help=f"{TARGET} | chain:N, net:N, ladder:N | scaling | orders | leave-out | coupling | sweep | gradients",
+        help=f"{TARGET} | chain:N, net:N, ladder:N | scaling | orders | leave-out | coupling | sweep | gradients | blame",
     )
     parser.add_argument("--paper", action="store_true", help="figures, table and statements of the model's paper")
     parser.add_argument(
@@ -41,13 +41,15 @@ def add_parser(verbs: Any) -> None:
         help="scaling: chain, net, ladder; orders: names of the library; coupling: scenes (default: all)",
     )
     parser.add_argument("--sizes", metavar="LIST", help="scaling: sizes n (default: those of the family)")
+    parser.add_argument("--seeds", metavar="LIST", default="1,2", help="blame: of the planted faults (default 1,2)")
+    parser.add_argument("--cases", type=int, default=200, help="blame: faults of a seed (default 200)")
     parser.add_argument("--reference", metavar="CSV", help="states at the times: column time and one per state")
     add_settings(parser)
     parser.add_argument(
         "-o",
         "--output",
         metavar="DIR",
-        help="folder of the files (default: bench); orders, leave-out, coupling, sweep, gradients: a file",
+        help="folder of the files (default: bench); orders, leave-out, coupling, sweep, gradients, blame: a file",
     )
     parser.set_defaults(call=call)
 
@@ -66,6 +68,7 @@ def call(args: argparse.Namespace) -> int:
         "coupling": _coupling,
         "sweep": _sweep,
         "gradients": _gradients,
+        "blame": _blame,
     }
     require_known(args.target, [*tables, "scaling"])
     if args.target in tables:
@@ -133,6 +136,27 @@ def _gradients(args: argparse.Namespace) -> int:
     from phfmu.studies.bench.gradients import page, table
 
     return _paged(args, page, table)
+
+
+def _blame(args: argparse.Namespace) -> int:
+    from pathlib import Path
+
+    from phfmu.cli.codes import FINE
+    from phfmu.studies.blame.report import measure, page, summary, table
+
+    seeds = _numbers("--seeds", args.seeds)
+    if any(s != int(s) for s in seeds) or args.cases < 1:
+        raise ValueError(
+            f"--seeds {args.seeds} --cases {args.cases}: expected positive whole numbers, e.g. --seeds 1,2 --cases 200"
+        )
+    with Line() as progress:
+        found = [measure(int(s), args.cases, progress) for s in seeds]
+    if args.output:
+        Path(args.output).write_text(page(found), encoding="utf-8")
+        print(f"page: {args.output}")
+        return FINE
+    print("\n\n".join(f"{summary(f)}\n\n{table(f)}" for f in found))
+    return FINE
 
 
 def _paged(args: argparse.Namespace, page: Callable[..., str], table: Callable[..., str]) -> int:

@@ -57,7 +57,7 @@ def in_halves(
 
 
 #: fields of `Steps` that add up
-_ADDED = ("stored", "dissipated", "supplied", "pairs", "numerical", "moved", "iterations", "works")
+_ADDED = ("stored", "dissipated", "supplied", "pairs", "numerical", "moved", "iterations", "works", "exchanged")
 
 
 def _as_one(one: Steps, two: Steps) -> Steps:

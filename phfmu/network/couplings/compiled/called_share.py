@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from phfmu.engine.native.structures import Structures
 from phfmu.network.couplings.compiled.master_pattern import Part, Told
+from phfmu.network.members.engine_member import EngineMember
 from phfmu.network.members.stepped_last import SteppedLast
 from phfmu.outcome.status import EndRequested, Status, StepFailure
 
@@ -26,6 +27,10 @@ _SHARE, _TIME = ctypes.c_void_p, ctypes.c_double
 _PLAIN = ctypes.CFUNCTYPE(ctypes.c_int, _SHARE)
 _STEP = ctypes.CFUNCTYPE(ctypes.c_int, _SHARE, _TIME, _TIME)
 _RECORD = ctypes.CFUNCTYPE(ctypes.c_int, _SHARE, ctypes.c_void_p)
+
+
+#: of a ledger: what its pairs would be by the values that were exchanged
+EXCHANGED = "exchanged"
 
 
 class CalledShare:
@@ -39,6 +44,9 @@ class CalledShare:
         self._late = isinstance(part.member, SteppedLast)
         #: what is told of each step
         self._rows: list[dict[str, Any]] = []
+        #: pairs that books of its own could tell otherwise than the values that were exchanged, and their inputs
+        self._pairs = _held_against(part)
+        self._energy = np.zeros(len(self._pairs))
         k, nu, ncomp = part.k, part.nu, len(part.member.booking.components)
         self._outputs, self._energies, self._end = np.zeros((k, nu)), np.zeros(ncomp), np.zeros(nu)
         calls: list[Any] = [  # in the order of `ph_kind`
@@ -106,7 +114,11 @@ class CalledShare:
         self._error = None
         n = self._part.kicks
         impulses = (self._s[:n].copy(), self._s[n:].copy()) if n else None
-        self._outputs[:] = self._part.values.step(self._u.reshape(self._part.k, -1).copy(), impulses, t, h)
+        u = self._u.reshape(self._part.k, -1).copy()
+        self._outputs[:] = self._part.values.step(u, impulses, t, h)
+        if self._pairs:
+            fed = [*self._pairs.values()]
+            self._energy = h * self._part.weights @ (u[:, fed] * self._outputs[:, fed])
 
     def _refresh(self) -> None:
         self._energies[:] = self._member.energies()
@@ -147,6 +159,9 @@ class CalledShare:
         m = self._member
         row: dict[str, Any] = {"columns": m.read(), "H": self._energies.copy(), "ends": self._end[: m.nu].copy()}
         book = {"numerical": np.zeros(len(self._energies)), "moved": np.abs(self._energies)} | m.ledger()
+        if self._pairs:
+            book[EXCHANGED] = book["pairs"].copy()
+            book[EXCHANGED][[*self._pairs]] = self._energy
         if self._late:
             row["missed"] = m.output() - self._outputs[0]
         self._rows.append(row | {"book": book, "events": m.happened()})
@@ -176,3 +191,24 @@ class CalledShare:
         books = {n: np.array([r["book"][n] for r in own]) for n in own[0]["book"]}
         events = tuple((i, e) for i, r in enumerate(own) for e in r["events"])
         return Told(columns, H, ends, books, events, missed)
+
+
+def _held_against(part: Part) -> dict[int, int]:
+    """Pairs of a member's books -> its inputs, of a member that is neither stepped here nor a unit, keeps books, and takes no
+    impulses.
+    """
+    member = part.member
+    if isinstance(member, EngineMember) or part.kicks or member.booking.estimated or member.booking.silent:
+        return {}
+    from phfmu.network.members.fmu_member import FMUMember  # runs without units do not load their reader
+
+    if isinstance(member, FMUMember):
+        return {}
+    pairs = [(p.component, p.port) for p in member.booking.ports]
+    found: dict[int, int] = {}
+    for name, place in member.places.items():
+        own = [i for i, pair in enumerate(pairs) if pair == (member.name, name)]
+        fed = [i for i in range(place.start, place.stop) if member.input_sign[i] == 1.0]
+        if len(own) == len(fed):
+            found |= dict(zip(own, fed, strict=True))
+    return found

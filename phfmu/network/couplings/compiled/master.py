@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from phfmu.engine.native.structures import Structures
 from phfmu.gradients.quadrature import nodes
 from phfmu.network.couplings.acceptance import ACCEPTED
-from phfmu.network.couplings.compiled.called_share import CalledShare
+from phfmu.network.couplings.compiled.called_share import EXCHANGED, CalledShare
 from phfmu.network.couplings.compiled.master_library import HEADER, START_TRIALS, library
 from phfmu.network.couplings.compiled.master_pattern import Exchanged, Part, Pattern, Told, exchanged
 from phfmu.network.couplings.compiled.shares import Make, Own, own_share, watched
@@ -116,7 +116,7 @@ class Master:
             works = np.hstack([works[:, : works.shape[1] - sum(m.shape[1] for m in missed)], *missed])
         return replace(
             steps, signals=told["signals"], H=told["H"], events=told["events"], works=works,
-            **{k: told[k] for k in LEDGER},
+            **{k: told[k] for k in (*LEDGER, EXCHANGED) if k in told},
         )  # fmt: skip
 
     def prepare(self, guess: Array, t0: float, h: float, limit: bool = True) -> tuple[Array, Array] | None:
@@ -244,6 +244,8 @@ class Master:
         signals = [*(m.columns for m in members), xi, sums.of_rows(end, np.hstack([m.ends for m in members]))]
         rows = {"signals": np.hstack(signals), "H": np.hstack([m.H for m in members])}
         rows |= {name: np.hstack([m.books[name] for m in members]) for name in LEDGER}
+        if any(EXCHANGED in m.books for m in members):
+            rows[EXCHANGED] = np.hstack([m.books.get(EXCHANGED, m.books["pairs"]) for m in members])
         return rows | {"events": tuple(self._events(members))}
 
     def _events(self, members: list[Told]) -> list[tuple[int, StepEvent]]:
