@@ -16,7 +16,7 @@ from phfmu.schur.lanes import NUMBERS, LaneKernel, require_lanes
 from phfmu.schur.stepper import SchurStepper
 from phfmu.schur.text import KINDS, function_text, include, kernel_text, operations_text
 
-#: per kind: places of the arguments whose bars a sweep wants, and of those that are wanted once; of how many results bars are given
+#: per kind: places of the arguments whose bars a sweep wants, of those that are wanted once; results whose bars are given
 PLACES = {
     "constraint": ((0, 1), (2,), 2),
     "strain": ((0,), (1,), 1),

@@ -21,6 +21,7 @@ typedef struct ph_back_sweep {
     ph_lane *by;              /* ndof+1: bars of F */
     ph_lane *turn;            /* ndof+1: H z */
     ph_lane *row;             /* nconstraint: -G z, and in the last lane -sum (G m - K z) */
+    double *slope;            /* nstrain: phi'' */
     double *starts;           /* nstrain: bars of C at the start */
     double *masses;           /* ndof: bars of 1/m */
     double *p, *u;            /* bars of parameters and held inputs, which are added */
