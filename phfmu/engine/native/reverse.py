@@ -70,7 +70,8 @@ class _Functions:
         address = None
         if self._lib is not None:
             address = ctypes.addressof(ctypes.c_char.in_dll(self._lib, "ph_schur_backwards"))
-        self.table = _Backwards(*(f.address for f in self._kept), address)
+        functions = [f.address for f in self._kept]
+        self.table, self.sparse = _Backwards(*functions, address), _Backwards(*functions, None)
 
 
 def _schur_back(schur: SchurStepper) -> ctypes.CDLL | None:
@@ -105,6 +106,7 @@ def _typed(lib: ctypes.CDLL) -> ctypes.CDLL:
         "ph_reverse_init": (pointer, [pointer, pointer, pointer, integer]),
         "ph_reverse_width": (integer, [pointer]),
         "ph_reverse_bars": (pointer, [pointer]),
+        "ph_reverse_by_schur": (integer, [pointer]),
         "ph_reverse_steps": (integer, [pointer, *(ctypes.POINTER(c) for c in (_Parts, _RowBars, ctypes.c_double))]),
         "ph_reverse_instant": (integer, [pointer, pointer]),
     }  # fmt: skip
@@ -209,16 +211,21 @@ class RowBars:
 
 
 class NativeReverse:
-    """The way back of n measures, over tapes of instances of a model with the shared parts `made`."""
+    """The way back of n measures, over tapes of instances of a model with the shared parts `made`.
 
-    def __init__(self, model: Model, made: Made, n: int):
+    schur: where the model has a Schur stepper, its factor serves, and the sparse LU only where that one does not; False: the
+    sparse LU always.
+    """
+
+    def __init__(self, model: Model, made: Made, n: int, schur: bool = True):
         self._model, self._lib = model, _typed(made.lib)
         self._functions = _functions(made, model)
         self._memory, status = placed(self._lib, "ph", made.tables.pointer)
         if status:
             raise RuntimeError(f"{model.name}: no memory of an instance")
         self._instance = self._memory.ctypes.data
-        about = self._instance, ctypes.addressof(self._functions.table), n
+        self._table = self._functions.table if schur else self._functions.sparse
+        about = self._instance, ctypes.addressof(self._table), n
         self._room = np.zeros(self._lib.ph_reverse_size(*about) // 8 + 1)
         self._in = self._lib.ph_reverse_init(self._room.ctypes.data, *about)
         plan, width = model.step, self._lib.ph_reverse_width(made.tables.pointer)
@@ -226,6 +233,11 @@ class NativeReverse:
         ends = np.cumsum([plan.nx + 1, plan.np, plan.nu, plan.nq, plan.ncomp]).tolist()
         self.bars = Bars(*np.split(values, ends, axis=1))
         self.n = n
+
+    @property
+    def by_schur(self) -> int:
+        """Parts of steps, of each measure, that went back by the factor of the Schur stepper."""
+        return self._lib.ph_reverse_by_schur(self._in)
 
     def back(
         self, rows: Floats, parameters: Floats, row: NDArray[np.int32], part: Floats, told: RowBars, moves: bool = False

@@ -61,6 +61,8 @@ PH_API ph_reverse *ph_reverse_init(void *memory, ph_instance *in, const ph_backw
 PH_API int ph_reverse_width(const ph_model *model);
 /* n x ph_reverse_width, the bars in the order of ph_bars: to be set before, and read after. */
 PH_API double *ph_reverse_bars(ph_reverse *r);
+/* Parts of steps, of each measure, that went back by the factor of the Schur stepper. */
+PH_API int ph_reverse_by_schur(const ph_reverse *r);
 /* Back over parts of steps, from the last one; *at: the start of one that has no derivative. */
 PH_API int ph_reverse_steps(ph_reverse *r, const ph_parts *parts, const ph_row_bars *told, double *at);
 /* What holds at the present time of the instance: `bar` n x (na + nq + nobs + ncomp). */

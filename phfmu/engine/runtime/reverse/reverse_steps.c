@@ -141,8 +141,10 @@ static int part_back(ph_reverse *r, int measure, const double *bar, double part,
         if (length)
             *length = told_length(r, s, at, bar, part);
     }
-    if (r->quick && r->fast->back(r->schur, measure, r->b, at->x, at->u, at->p) == PH_OK)
+    if (r->quick && r->fast->back(r->schur, measure, r->b, at->x, at->u, at->p) == PH_OK) {
+        r->by_schur++;
         return PH_OK;
+    }
     if ((r->quick && place_again(r)) || unknowns_back(r, s, at))
         return PH_SINGULAR;
     if (length && p->nw > 0)
@@ -315,4 +317,8 @@ ph_reverse *ph_reverse_init(void *memory, ph_instance *in, const ph_backwards *f
 
 double *ph_reverse_bars(ph_reverse *r) {
     return r->bars;
+}
+
+int ph_reverse_by_schur(const ph_reverse *r) {
+    return r->by_schur;
 }

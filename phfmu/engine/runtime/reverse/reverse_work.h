@@ -10,6 +10,7 @@ struct ph_reverse {
     const ph_schur_back *fast; /* or NULL */
     void *schur;               /* its work space */
     int quick;                 /* 1: it has the equations of the present part */
+    int by_schur;              /* parts that went back by it */
     double h;                  /* of the present part */
     int n;                     /* measures */
     double *bars;              /* n x ph_reverse_width */
