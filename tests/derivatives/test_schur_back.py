@@ -10,12 +10,15 @@ from typing import Any
 import numpy as np
 import pytest
 
+from phfmu import Event, Options, gradient
 from phfmu.components.mechanical.chain import chain
 from phfmu.components.mechanical.four_particle import four_particle
+from phfmu.components.mechanical.mechanisms import bricard
 from phfmu.discretise.model import Model, build_model, default_scheme
 from phfmu.engine.native.native import NativeInstance
 from phfmu.engine.native.reverse import NativeReverse, NativeTape, RowBars
 from phfmu.studies.stress.mechanisms import doubled, frame
+from tests.derivatives.test_reverse import differ, differences, known
 from tests.schur.test_schur import charges, pushed, tangle
 from tests.wide import wide
 
@@ -74,7 +77,7 @@ def agree(one: NativeReverse, other: NativeReverse, part: float = 1e-11) -> None
         assert np.abs(a - b).max(initial=0.0) <= part * np.abs(b).max(initial=0.0)
 
 
-@pytest.mark.parametrize(("name", "order"), wide(CASES, ("chain", 6), ("stiff springs", 2)))
+@pytest.mark.parametrize(("name", "order"), wide(CASES, ("four_particle", 6), ("stiff springs", 6)))
 def test_the_schur_factor_gives_the_bars_of_the_sparse_one(name: str, order: int) -> None:
     """By states, parameters and inputs, in every step."""
     model, h = of_model(name, order)
@@ -83,3 +86,55 @@ def test_the_schur_factor_gives_the_bars_of_the_sparse_one(name: str, order: int
     assert (one.by_schur, other.by_schur) == (2 * len(rows), 0)
     assert max(np.abs(bar).max(initial=0.0) for bar in other.bars.all) > 0.1
     agree(one, other)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("order", [2, 6])
+def test_where_it_does_not_converge_the_sparse_one_takes_turns(order: int) -> None:
+    """Links that turn far in a step."""
+    d = braced(6)
+    model = build_model(d, default_scheme(d, order))
+    instance, rows = taped(model, 0.15)
+    one, other = (back(model, instance, rows, schur) for schur in (True, False))
+    assert 0 < one.by_schur < 2 * len(rows)
+    agree(one, other)
+
+
+@pytest.mark.slow
+def test_directions_without_mass_go_back_by_the_sparse_factor() -> None:
+    """The model has a Schur stepper, its way back does not."""
+    d = bricard(section=0.0)
+    model = build_model(d, default_scheme(d, 2))
+    instance, rows = taped(model, 0.02, 2)
+    assert instance.counts["schur"] == 2 and back(model, instance, rows).by_schur == 0
+
+
+#: what is read of rows, of ends of steps, and of sums over the run
+MEASURES = [
+    "last(energy.dissipated)", "last(tip.energy)", "max(lambda[1])", "rms(tip.velocity_step[3])", "mean(energy.stored)", "q[6]@0.1333",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("order", wide([2, 6]))
+def test_measures_of_a_chain_backwards_are_those_forward(order: int) -> None:
+    """By all parameters, starts and forces at the tip."""
+    d = braced(4)
+    model = build_model(d, default_scheme(d, order))
+    options = Options(stop=0.2, step=1e-2, events=(Event(0.0, "tip.force[3]", 2.0), Event(0.1, "tip.force[3]", -1.0)))
+    by = [*known(d), "tip.force[1]"]
+    forward, reverse = (
+        gradient(model, NativeInstance(model), options, MEASURES, by, mode=m) for m in ("forward", "reverse")
+    )
+    sizes = np.array([abs(known(d).get(n, 1.0)) or 1.0 for n in by])
+    assert differ(forward.slopes, reverse.slopes, sizes) < 1e-11
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("order", [2, 6])
+def test_a_chain_backwards_is_what_differences_of_runs_say(order: int) -> None:
+    d, by = braced(4), ["m[2]", "damping"]
+    model = build_model(d, default_scheme(d, order))
+    options = Options(stop=0.2, step=1e-2)
+    found = gradient(model, NativeInstance(model), options, MEASURES, by, mode="reverse")
+    sizes = np.array([abs(known(d)[n]) or 1.0 for n in by])
+    assert differ(found.slopes, differences(d, order, options, MEASURES, by, 1e-3), sizes) < 1e-7
