@@ -111,7 +111,8 @@ def test_directions_without_mass_go_back_by_the_sparse_factor() -> None:
 
 #: what is read of rows, of ends of steps, and of sums over the run
 MEASURES = [
-    "last(energy.dissipated)", "last(tip.energy)", "max(lambda[1])", "rms(tip.velocity_step[3])", "mean(energy.stored)", "q[6]@0.1333",
+    "last(energy.dissipated)", "last(tip.energy)", "max(lambda[1])", "rms(tip.velocity_step[3])", "mean(energy.stored)",
+    "q[6]@0.1333",
 ]  # fmt: skip
 
 
