@@ -53,6 +53,8 @@ def _back(kernel: LaneKernel, by: Sequence[int]) -> tuple[str, str]:
     (_, lane_in, lane_out), n = KINDS[kernel.kind], PLACES[kernel.kind][2]
     args = kernel.function.sx_in()
     results = kernel.function.call(args)[:n]
+    if kernel.kind == "mass":
+        results = [1 / results[0]]  # m, which may be zero
     bars = [ca.SX.sym(f"b{i}", r.numel()) for i, r in enumerate(results)]
     whole = sum((ca.dot(b, r) for b, r in zip(bars, results, strict=True)), ca.SX(0))
     found = [ca.densify(ca.gradient(whole, args[i])) if args[i].numel() else ca.SX(0, 1) for i in by]
@@ -74,7 +76,8 @@ def back_text(schur: SchurStepper) -> str:
         calls.append((name, g.kernel.kind))
     kernels = {k.name: kernel_text(k) for g in schur.groups for k in (g.kernel, g.stress) if k}
     bodies = "".join(text for _, text in sorted((kernels | found).items()))
-    text = f'{HEAD}#define PH_K {schur.k}\n#include "lanes_back.h"\n\n{operations_text(bodies)}{bodies}\n'
+    light = f"#define PH_LIGHT {len(schur.light)}\n" if len(schur.light) else ""
+    text = f'{HEAD}#define PH_K {schur.k}\n{light}#include "lanes_back.h"\n\n{operations_text(bodies)}{bodies}\n'
     text += "".join(loops[name] for name in sorted(loops))
     forward = "const ph_lane_group *g, const ph_sweep *s"
     backward = "const ph_lane_group *g, const ph_back_sweep *s"

@@ -43,6 +43,8 @@ MODELS: dict[str, tuple[Callable[[], Any], float]] = {
     "tangle": (lambda: tangle(11).build(), 5e-3),
     "redundant rows": (frame, 1e-2),
     "redundant bars": (doubled, 1e-2),
+    "directions without mass": (lambda: bricard(section=0.0), 2e-2),
+    "light directions": (lambda: bricard(section=1e-3), 2e-2),
 }  # fmt: skip
 CASES = list(product(MODELS, (2, 6)))
 
@@ -98,15 +100,6 @@ def test_where_it_does_not_converge_the_sparse_one_takes_turns(order: int) -> No
     one, other = (back(model, instance, rows, schur) for schur in (True, False))
     assert 0 < one.by_schur < 2 * len(rows)
     agree(one, other)
-
-
-@pytest.mark.slow
-def test_directions_without_mass_go_back_by_the_sparse_factor() -> None:
-    """The model has a Schur stepper, its way back does not."""
-    d = bricard(section=0.0)
-    model = build_model(d, default_scheme(d, 2))
-    instance, rows = taped(model, 0.02, 2)
-    assert instance.counts["schur"] == 2 and back(model, instance, rows).by_schur == 0
 
 
 #: what is read of rows, of ends of steps, and of sums over the run

@@ -76,8 +76,6 @@ class _Functions:
 
 def _schur_back(schur: SchurStepper) -> ctypes.CDLL | None:
     """The compiled way back of a Schur stepper; None where it has none."""
-    if len(schur.light):
-        return None
     try:
         return ctypes.CDLL(str(compile(headers() | {"schur_back.c": back_text(schur)}, flags=host_flags()).path))
     except (CompilerMissing, NoLanes):

@@ -23,7 +23,7 @@ typedef struct ph_back_sweep {
     ph_lane *row;             /* nconstraint: -G z, and in the last lane -sum (G m - K z) */
     double *slope;            /* nstrain: phi'' */
     double *starts;           /* nstrain: bars of C at the start */
-    double *masses;           /* ndof: bars of 1/m */
+    double *masses;           /* ndof: bars of m */
     double *p, *u;            /* bars of parameters and held inputs, which are added */
     ph_lane column[PH_K];     /* h A with h b below it, by columns */
     ph_lane across[PH_LANES]; /* by rows */
