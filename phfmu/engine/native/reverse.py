@@ -75,7 +75,9 @@ class _Functions:
 
 
 def _schur_back(schur: SchurStepper) -> ctypes.CDLL | None:
-    """The compiled way back of a Schur stepper; None where it has none."""
+    """The compiled way back of a Schur stepper; None where it has none, as for light directions at order 6."""
+    if len(schur.light) and schur.k > 1:
+        return None
     try:
         return ctypes.CDLL(str(compile(headers() | {"schur_back.c": back_text(schur)}, flags=host_flags()).path))
     except (CompilerMissing, NoLanes):
