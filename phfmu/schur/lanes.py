@@ -32,6 +32,9 @@ OPERATIONS = ANALYTIC | {
     ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_NOT, ca.OP_AND, ca.OP_OR, ca.OP_IF_ELSE_ZERO, ca.OP_FABS,
 }  # fmt: skip
 
+#: kinds of functions of numbers
+NUMBERS = ("start", "stress", "mass", "load")
+
 
 @dataclass(frozen=True)
 class LaneKernel:
@@ -81,12 +84,15 @@ _kernels: dict[str, LaneKernel] = {}
 def lane_kernel(kind: str, args: Sequence[ca.SX], results: Sequence[ca.SX]) -> LaneKernel:
     """The kernel of these expressions; equal content gives one object.  NoLanes if it cannot be evaluated in lanes."""
     f = ca.Function("f", list(args), [ca.densify(r) for r in results])
-    allowed = OPERATIONS if kind in ("start", "stress", "mass", "load") else LANE_OPERATIONS
-    used = {f.instruction_id(i) for i in range(f.n_instructions())}
-    if used - allowed:
-        raise NoLanes
+    require_lanes(kind, f)
     digest = hashlib.sha256((kind + f.serialize()).encode()).hexdigest()[:16]
     return _kernels.setdefault(digest, LaneKernel(kind, f"{kind}_{digest}", f))
+
+
+def require_lanes(kind: str, f: ca.Function) -> None:
+    """NoLanes for a function of a kind that has an operation which cannot be evaluated there."""
+    if {f.instruction_id(i) for i in range(f.n_instructions())} - (OPERATIONS if kind in NUMBERS else LANE_OPERATIONS):
+        raise NoLanes
 
 
 def _p(term: Term) -> ca.SX:

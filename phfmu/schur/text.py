@@ -50,9 +50,13 @@ KINDS = {
 }
 
 
-def function_text(kernel: LaneKernel) -> str:
-    """C definition of one function: pointers to its arguments, then to its results."""
-    f, (_, lane_in, lane_out) = kernel.function, KINDS[kernel.kind]
+def kernel_text(kernel: LaneKernel) -> str:
+    """C definition of the function of a kernel."""
+    return function_text(kernel.name, kernel.function, *KINDS[kernel.kind][1:])
+
+
+def function_text(name: str, f: ca.Function, lane_in: Sequence[bool], lane_out: Sequence[bool]) -> str:
+    """C definition of one function: pointers to its arguments, then to its results; which of them are lanes."""
     types = ["double", "ph_lane"]
     arguments = [f"const {types[lane]} *a{i}" for i, lane in enumerate(lane_in)]
     arguments += [f"{types[lane]} *r{i}" for i, lane in enumerate(lane_out)]
@@ -65,14 +69,14 @@ def function_text(kernel: LaneKernel) -> str:
         elif op == ca.OP_CONST:
             held[outputs[0]] = (_number(f.instruction_constant(i)), False)
         elif op == ca.OP_OUTPUT:
-            name, is_lane = held[inputs[0]]
+            value, is_lane = held[inputs[0]]
             spread = lane_out[outputs[0]] and not is_lane
-            lines.append(f"    r{outputs[0]}[{outputs[1]}] = {f'PH_SPREAD({name})' if spread else name};")
+            lines.append(f"    r{outputs[0]}[{outputs[1]}] = {f'PH_SPREAD({value})' if spread else value};")
         else:
             text, is_lane = _operation(op, [held[j] for j in inputs])
             lines.append(f"    const {types[is_lane]} t{i} = {text};")
             held[outputs[0]] = (f"t{i}", is_lane)
-    return f"PH_INLINE void {kernel.name}({', '.join(arguments)}) {{\n" + "\n".join(lines) + "\n}\n"
+    return f"PH_INLINE void {name}({', '.join(arguments)}) {{\n" + "\n".join(lines) + "\n}\n"
 
 
 def _number(value: float) -> str:
@@ -107,13 +111,18 @@ def stepper_text(schur: SchurStepper, tables: str) -> str:
     `tables`: those of `schur` as C, which a small model has beside its functions, under the name `small_tables`.
     """
     functions = {kernel.name: kernel for g in schur.groups for kernel in (g.kernel, g.stress) if kernel}
-    bodies = "".join(function_text(functions[name]) for name in sorted(functions))
-    used = sorted(set(re.findall(r"\blane_(\w+)\(", bodies)))
+    bodies = "".join(kernel_text(functions[name]) for name in sorted(functions))
     text = f'\n#if defined(__GNUC__)\n#define PH_K {schur.k}\n{_small(schur, tables)}#include "lanes.h"\n\n'
-    text += "".join("PH_LANE_POWER\n" if f == "pow" else f"PH_LANE_FUNCTION({f})\n" for f in used) + bodies + "\n"
+    text += operations_text(bodies) + bodies + "\n"
     loops = {_loop_name(g): g for g in schur.groups}
     text += "".join(_loop(name, loops[name]) for name in sorted(loops)) + _calls(schur)
     return text + f'#include "schur.inc"\n#else\n{NO_STEPPER}#endif\n'
+
+
+def operations_text(bodies: str) -> str:
+    """C definitions of the functions of lanes that bodies call."""
+    used = sorted(set(re.findall(r"\blane_(\w+)\(", bodies)))
+    return "".join("PH_LANE_POWER\n" if f == "pow" else f"PH_LANE_FUNCTION({f})\n" for f in used)
 
 
 def _small(schur: SchurStepper, tables: str) -> str:
@@ -130,10 +139,17 @@ def _loop_name(group: LaneGroup) -> str:
 
 def _loop(name: str, group: LaneGroup) -> str:
     kernel, stress = group.kernel, group.stress
-    macros = {"NAME": name, "KERNEL": kernel.name, KINDS[kernel.kind][0]: ""}
-    macros |= {KINDS[stress.kind][0]: stress.name, "RELAX": f"{name}_relax"} if stress else {}
-    macros |= {"NX": kernel.nx, "NZ": kernel.nz, "NU": kernel.nu, "NP": kernel.np, "NO": kernel.no}
-    return "".join(f"#define PH_{m} {v}".rstrip() + "\n" for m, v in macros.items()) + '#include "lane.inc"\n\n'
+    more = {KINDS[stress.kind][0]: stress.name, "RELAX": f"{name}_relax"} if stress else {}
+    return include(kernel, {"NAME": name} | more, "lane.inc")
+
+
+def include(kernel: LaneKernel, macros: dict[str, str], file: str) -> str:
+    """The include of loops over the instances of a kernel with its sizes and these macros."""
+    macros = {"KERNEL": kernel.name, KINDS[kernel.kind][0]: ""} | macros
+    sizes = {"NX": kernel.nx, "NZ": kernel.nz, "NU": kernel.nu, "NP": kernel.np, "NO": kernel.no}
+    return (
+        "".join(f"#define PH_{m} {v}".rstrip() + "\n" for m, v in (macros | sizes).items()) + f'#include "{file}"\n\n'
+    )
 
 
 def _calls(schur: SchurStepper) -> str:

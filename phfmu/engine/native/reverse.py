@@ -11,15 +11,19 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
+from phfmu.engine.build.compile import CompilerMissing, compile, host_flags
 from phfmu.engine.model import Model
 from phfmu.engine.native.code import Code, Functions
 from phfmu.engine.native.compiled import Made
-from phfmu.engine.native.library import Signatures, placed, typed, view
+from phfmu.engine.native.library import Signatures, headers, placed, typed, view
 from phfmu.engine.native.native import NativeInstance
 from phfmu.engine.switched import SwitchedInstance
 from phfmu.events.modes import Mode
 from phfmu.outcome.status import NoDerivative, Status
 from phfmu.plan.reverse import reverse, reverse_ledger
+from phfmu.schur.back_text import back_text
+from phfmu.schur.lanes import NoLanes
+from phfmu.schur.stepper import SchurStepper
 
 Floats = NDArray[np.float64]
 
@@ -49,18 +53,46 @@ class _RowBars(ctypes.Structure):
     _fields_ = [("n", ctypes.c_int), ("row", ctypes.c_void_p), ("bar", ctypes.c_void_p)]
 
 
-#: of code: its kernels and their ledgers in reverse
-_REVERSE: WeakKeyDictionary[Code, tuple[Functions, Functions]] = WeakKeyDictionary()
+class _Backwards(ctypes.Structure):
+    """ph_backwards."""
+
+    _fields_ = [(n, ctypes.c_void_p) for n in ("kernels", "ledgers", "schur")]
 
 
-def _functions(made: Made) -> tuple[Functions, Functions]:
-    """The kernels in reverse, and their ledgers, made once for all models with the same code."""
-    found = _REVERSE.get(made.code)
-    if found is None:
+class _Functions:
+    """The kernels of code in reverse, and their ledgers; the way back of the Schur stepper of a model."""
+
+    def __init__(self, made: Made, schur: SchurStepper | None):
         own = [m.kernel for m in made.kernels.members]
         compiled = made.code.compiled
-        kernels = Functions([reverse(k) for k in own], compiled)
-        found = _REVERSE[made.code] = kernels, Functions([reverse_ledger(k) for k in own], compiled)
+        self._kept = [Functions([f(k) for k in own], compiled) for f in (reverse, reverse_ledger)]
+        self._lib = None if schur is None or not compiled else _schur_back(schur)
+        address = None
+        if self._lib is not None:
+            address = ctypes.addressof(ctypes.c_char.in_dll(self._lib, "ph_schur_backwards"))
+        functions = [f.address for f in self._kept]
+        self.table, self.sparse = _Backwards(*functions, address), _Backwards(*functions, None)
+
+
+def _schur_back(schur: SchurStepper) -> ctypes.CDLL | None:
+    """The compiled way back of a Schur stepper; None where it has none, as for light directions at order 6."""
+    if len(schur.light) and schur.k > 1:
+        return None
+    try:
+        return ctypes.CDLL(str(compile(headers() | {"schur_back.c": back_text(schur)}, flags=host_flags()).path))
+    except (CompilerMissing, NoLanes):
+        return None
+
+
+#: of code, made once for all models with the same
+_REVERSE: WeakKeyDictionary[Code, _Functions] = WeakKeyDictionary()
+
+
+def _functions(made: Made, model: Model) -> _Functions:
+    """Those of the code of a model."""
+    found = _REVERSE.get(made.code)
+    if found is None:
+        found = _REVERSE[made.code] = _Functions(made, model.step.schur)
     return found
 
 
@@ -70,10 +102,11 @@ def _typed(lib: ctypes.CDLL) -> ctypes.CDLL:
     signatures: Signatures = {
         "ph_tape_width": (integer, [pointer]),
         "ph_tape_on": (None, [pointer, pointer, pointer, integer]),
-        "ph_reverse_size": (size, [pointer, pointer, pointer, integer]),
-        "ph_reverse_init": (pointer, [pointer, pointer, pointer, pointer, integer]),
+        "ph_reverse_size": (size, [pointer, pointer, integer]),
+        "ph_reverse_init": (pointer, [pointer, pointer, pointer, integer]),
         "ph_reverse_width": (integer, [pointer]),
         "ph_reverse_bars": (pointer, [pointer]),
+        "ph_reverse_by_schur": (integer, [pointer]),
         "ph_reverse_steps": (integer, [pointer, *(ctypes.POINTER(c) for c in (_Parts, _RowBars, ctypes.c_double))]),
         "ph_reverse_instant": (integer, [pointer, pointer]),
     }  # fmt: skip
@@ -178,16 +211,21 @@ class RowBars:
 
 
 class NativeReverse:
-    """The way back of n measures, over tapes of instances of a model with the shared parts `made`."""
+    """The way back of n measures, over tapes of instances of a model with the shared parts `made`.
 
-    def __init__(self, model: Model, made: Made, n: int):
+    schur: where the model has a Schur stepper, its factor serves, and the sparse LU only where that one does not; False: the
+    sparse LU always.
+    """
+
+    def __init__(self, model: Model, made: Made, n: int, schur: bool = True):
         self._model, self._lib = model, _typed(made.lib)
-        self._functions = _functions(made)
+        self._functions = _functions(made, model)
         self._memory, status = placed(self._lib, "ph", made.tables.pointer)
         if status:
             raise RuntimeError(f"{model.name}: no memory of an instance")
         self._instance = self._memory.ctypes.data
-        about = self._instance, *(f.address for f in self._functions), n
+        self._table = self._functions.table if schur else self._functions.sparse
+        about = self._instance, ctypes.addressof(self._table), n
         self._room = np.zeros(self._lib.ph_reverse_size(*about) // 8 + 1)
         self._in = self._lib.ph_reverse_init(self._room.ctypes.data, *about)
         plan, width = model.step, self._lib.ph_reverse_width(made.tables.pointer)
@@ -195,6 +233,11 @@ class NativeReverse:
         ends = np.cumsum([plan.nx + 1, plan.np, plan.nu, plan.nq, plan.ncomp]).tolist()
         self.bars = Bars(*np.split(values, ends, axis=1))
         self.n = n
+
+    @property
+    def by_schur(self) -> int:
+        """Parts of steps, of each measure, that went back by the factor of the Schur stepper."""
+        return self._lib.ph_reverse_by_schur(self._in)
 
     def back(
         self, rows: Floats, parameters: Floats, row: NDArray[np.int32], part: Floats, told: RowBars, moves: bool = False

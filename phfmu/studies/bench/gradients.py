@@ -13,6 +13,7 @@ import numpy as np
 from phfmu.studies.bench.machine import cpu_seconds, load, processor
 
 if TYPE_CHECKING:
+    from phfmu.declare.phdae import PHDAE
     from phfmu.discretise.model import Model
 
 TURNS = 7  # that the medians are of
@@ -23,7 +24,7 @@ LONG = 1_000_000
 
 @dataclass(frozen=True)
 class Case:
-    """A model by name (`chain:N`, `ladder:N` of the families), order of the scheme."""
+    """A model by name (`chain:N`, `links:N`, `ladder:N` of the families), order of the scheme."""
 
     name: str
     order: int
@@ -32,6 +33,7 @@ class Case:
 CASES = (
     *(Case("dc_motor", order) for order in (2, 4)), *(Case("smib", order) for order in (2, 4, 6)),
     Case("ladder:100", 2), Case("four_particle", 2), Case("four_particle", 6), Case("chain:50", 2), Case("chain:50", 6),
+    Case("links:50", 2), Case("links:50", 6),
 )  # fmt: skip
 
 
@@ -56,6 +58,24 @@ class Cost:
         return (self.taped + self.back) / self.forward
 
 
+def links(n: int) -> PHDAE:
+    """A chain of n rigid links of 1 m whose particles, springs between next but one points and dampers between neighbours have
+    parameters of their own, 3 n - 1 of them."""
+    from phfmu.components.mechanical.multibody import Multibody
+
+    body = Multibody("links", 3, description=f"chain of {n} rigid links with parameters of their own")
+    body.gravity([0.0, 0.0, -9.81])
+    points = [body.support([0.0, 0.0, 0.0])]
+    points += [body.particle(1.0 + i / n, [i + 1.0, 0.0, 0.0], [0.0, (i + 1.0) / n, 0.0]) for i in range(n)]
+    for a, b in zip(points, points[1:], strict=False):
+        body.bar(a, b)
+    for i, (a, b) in enumerate(zip(points, points[2:], strict=False), 1):
+        body.quartic_spring(a, b, body.parameter(f"bending_{i}", 1.0 + 0.1 * (i % 3), unit="N/m3", min=0.0).sx, 2.0)
+    for i, (a, b) in enumerate(zip(points, points[1:], strict=False), 1):
+        body.damper(a, b, body.parameter(f"damping_{i}", 0.5 + 0.1 * (i % 5), unit="N.s/m"))
+    return body.build()
+
+
 def built(case: Case) -> tuple[Model, float]:
     """The model, and the step of its scene."""
     from phfmu.components.mechanical.chain import chain
@@ -64,7 +84,9 @@ def built(case: Case) -> tuple[Model, float]:
     from phfmu.target import scene
 
     name, _, n = case.name.partition(":")
-    if name == "chain":
+    if name == "links":
+        declaration, step = links(int(n)), 1e-2
+    elif name == "chain":
         declaration, step = chain(int(n), damping=0.5, bending=1.0), 1e-2
     else:
         found = ladder(int(n)) if n else scene(name)
@@ -173,8 +195,9 @@ what the whole gradient costs, run included, in runs; it does not depend on how 
 AFTER = """
 Where the sparse Newton's method steps, the way back takes one factor and one pass of the kernels in reverse where a step takes a
 factor or two and some passes: less than a second run. Where the [Schur stepper](../understand/glossary.md#schur-stepper) steps
-(`four_particle`, chains), the way back still factors the sparse matrix of the step, which that stepper does without: there it
-costs as much as the table says.
+(`four_particle`, chains; `links` is a chain with parameters of their own for every link), its equations are solved transposed by
+[the same factor](../internals/native-engine.md#the-way-back), in about as many sweeps as the step takes, each of which costs a
+little more than one of these.
 
 ## Memory
 

@@ -10,6 +10,7 @@
 #ifndef PH_REVERSE_H
 #define PH_REVERSE_H
 
+#include "schur_back.h"
 #include "system.h"
 
 /* A row of a tape: t, h, the states at the start, the unknowns, the inputs at the nodes. A part that begins
@@ -47,15 +48,21 @@ typedef struct ph_parts {
 
 typedef struct ph_reverse ph_reverse;
 
-/* kernels, ledgers: of each kernel of the code (x, y, p, bar of the results) -> bars of x, y and p; `n`
- * measures at once. The instance is its own: what is in it changes. */
-PH_API size_t ph_reverse_size(const ph_instance *in, const ph_function *kernels, const ph_function *ledgers,
-                              int n);
-PH_API ph_reverse *ph_reverse_init(void *memory, ph_instance *in, const ph_function *kernels,
-                                   const ph_function *ledgers, int n);
+/* Functions of a model: of each kernel of the code, and of its ledger, (x, y, p, bar of the results) -> bars
+ * of x, y and p; the way back of the Schur stepper, or NULL. */
+typedef struct ph_backwards {
+    const ph_function *kernels, *ledgers;
+    const ph_schur_back *schur;
+} ph_backwards;
+
+/* n measures at once. The instance is its own: what is in it changes. */
+PH_API size_t ph_reverse_size(const ph_instance *in, const ph_backwards *functions, int n);
+PH_API ph_reverse *ph_reverse_init(void *memory, ph_instance *in, const ph_backwards *functions, int n);
 PH_API int ph_reverse_width(const ph_model *model);
 /* n x ph_reverse_width, the bars in the order of ph_bars: to be set before, and read after. */
 PH_API double *ph_reverse_bars(ph_reverse *r);
+/* Parts of steps, of each measure, that went back by the factor of the Schur stepper. */
+PH_API int ph_reverse_by_schur(const ph_reverse *r);
 /* Back over parts of steps, from the last one; *at: the start of one that has no derivative. */
 PH_API int ph_reverse_steps(ph_reverse *r, const ph_parts *parts, const ph_row_bars *told, double *at);
 /* What holds at the present time of the instance: `bar` n x (na + nq + nobs + ncomp). */

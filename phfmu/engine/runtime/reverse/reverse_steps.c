@@ -21,21 +21,39 @@ int ph_reverse_width(const ph_model *model) {
     return p->nx + 1 + p->np + p->nu + p->nq + p->ncomp + 1;
 }
 
-/* The part of a tape's row becomes the point of the system of steps; its matrix and factor. */
-static int place(ph_reverse *r, const double *row, int late) {
+/* The matrix of the present part and its factor. */
+static int factor(ph_system *s) {
+    ph_eval_matrix(s);
+    return ph_newton_factor(s);
+}
+
+/* The part of a tape's row becomes the point of the system of steps; its equations, by the factor of the
+ * Schur stepper where that serves. Bars of what a part tells, and of its length, are taken from the values of
+ * the rows. */
+static int place(ph_reverse *r, const double *row, int late, int moves) {
     ph_instance *in = r->in;
     ph_system *s = &in->step;
     const ph_plan *p = s->plan;
     const double *w = row + 2 + p->nx;
     memcpy(r->x, row + 2, sizeof(double) * (size_t)p->nx);
     r->x[p->nx] = row[0];
+    r->h = row[1];
     memcpy(s->y, w, sizeof(double) * (size_t)(p->nw + p->nu * p->k));
-    ph_eval_h(s, row[1]);
-    ph_eval(s, 1, late);
-    if (p->nw == 0)
+    r->quick = r->schur && !moves && in->planned && r->fast->begin(r->schur, s, row[1]) == PH_OK;
+    if (r->quick && !late)
         return PH_OK;
-    ph_eval_matrix(s);
-    return ph_newton_factor(s);
+    ph_eval_h(s, row[1]);
+    ph_eval(s, !r->quick, late);
+    return p->nw == 0 || r->quick ? PH_OK : factor(s);
+}
+
+/* The equations of a part for which the factor of the Schur stepper has not served. */
+static int place_again(ph_reverse *r) {
+    ph_system *s = &r->in->step;
+    r->quick = 0;
+    ph_eval_h(s, r->h);
+    ph_eval(s, 1, 1);
+    return factor(s);
 }
 
 /* Bars of what the part tells: its share of the means a and y_step of the row, energies through pairs,
@@ -105,8 +123,8 @@ static int unknowns_back(ph_reverse *r, ph_system *s, const ph_bars *at) {
 }
 
 /* One measure over one part; bar: of its row, or NULL. *length: NULL, or the bar of the part's length. */
-static int part_back(ph_reverse *r, const ph_bars *at, const double *bar, double part, int tells,
-                     double *length) {
+static int part_back(ph_reverse *r, int measure, const double *bar, double part, int tells, double *length) {
+    const ph_bars bars = bars_of(r, measure), *at = &bars;
     ph_system *s = &r->in->step;
     const ph_plan *p = s->plan;
     ph_clear(r->b, p->nw);
@@ -123,7 +141,11 @@ static int part_back(ph_reverse *r, const ph_bars *at, const double *bar, double
         if (length)
             *length = told_length(r, s, at, bar, part);
     }
-    if (unknowns_back(r, s, at))
+    if (r->quick && r->fast->back(r->schur, measure, r->b, at->x, at->u, at->p) == PH_OK) {
+        r->by_schur++;
+        return PH_OK;
+    }
+    if ((r->quick && place_again(r)) || unknowns_back(r, s, at))
         return PH_SINGULAR;
     if (length && p->nw > 0)
         *length += ph_back_length(r, s);
@@ -132,10 +154,10 @@ static int part_back(ph_reverse *r, const ph_bars *at, const double *bar, double
 
 /* The same over a part of a step that moves: it begins at `from` of the step's start and is `share` of its
  * length, so that it moves with both. */
-static int moving_back(ph_reverse *r, const ph_bars *at, const double *bar, double share, double from,
-                       int tells) {
+static int moving_back(ph_reverse *r, int measure, const double *bar, double share, double from, int tells) {
+    const ph_bars bars = bars_of(r, measure), *at = &bars;
     double *t = at->x + r->in->model->step->nx, before = *t, length = 0.0;
-    if (part_back(r, at, bar, share, tells, &length))
+    if (part_back(r, measure, bar, share, tells, &length))
         return PH_SINGULAR;
     *at->h += share * length + from * (*t - before);
     return PH_OK;
@@ -177,13 +199,12 @@ int ph_reverse_steps(ph_reverse *r, const ph_parts *parts, const ph_row_bars *to
             }
             tells |= (mine && some(mine + p->nx, p->na + p->nq)) || some(b.pairs, p->nq + p->ncomp);
         }
-        status = place(r, row, tells);
+        status = place(r, row, tells, parts->moves);
         for (int c = 0; c < r->n && status == PH_OK; c++) {
-            const ph_bars b = bars_of(r, c);
             const double *mine = bar ? bar + c * own : NULL, share = parts->part[k];
             const double from = (row[0] - parts->rows[0]) * share / row[1];
-            status = parts->moves ? moving_back(r, &b, mine, share, from, tells)
-                                  : part_back(r, &b, mine, share, tells, NULL);
+            status = parts->moves ? moving_back(r, c, mine, share, from, tells)
+                                  : part_back(r, c, mine, share, tells, NULL);
         }
         if (status)
             *at = row[0];
@@ -263,32 +284,41 @@ static void lay_out(ph_reverse *r, ph_pool *pool) {
     r->iw = ph_take_ints(pool, iw);
     r->arg = ph_take(pool, sizeof(double *) * (size_t)arg);
     r->res = ph_take(pool, sizeof(double *) * (size_t)res);
+    r->schur = r->fast ? ph_take(pool, r->fast->size(p, r->n)) : NULL;
 }
 
-static ph_reverse begun(const ph_instance *in, const ph_function *kernels, const ph_function *ledgers,
-                        int n) {
-    return (ph_reverse){.in = (ph_instance *)(uintptr_t)in, .kernels = kernels, .ledgers = ledgers, .n = n};
+static ph_reverse begun(const ph_instance *in, const ph_backwards *functions, int n) {
+    ph_reverse r = {
+        .in = (ph_instance *)(uintptr_t)in, .kernels = functions->kernels, .ledgers = functions->ledgers};
+    r.n = n;
+    r.fast = functions->schur && functions->schur->size ? functions->schur : NULL;
+    return r;
 }
 
-size_t ph_reverse_size(const ph_instance *in, const ph_function *kernels, const ph_function *ledgers, int n) {
-    ph_reverse r = begun(in, kernels, ledgers, n);
+size_t ph_reverse_size(const ph_instance *in, const ph_backwards *functions, int n) {
+    ph_reverse r = begun(in, functions, n);
     ph_pool pool = {0};
     ph_take(&pool, sizeof(r));
     lay_out(&r, &pool);
     return pool.used;
 }
 
-ph_reverse *ph_reverse_init(void *memory, ph_instance *in, const ph_function *kernels,
-                            const ph_function *ledgers, int n) {
+ph_reverse *ph_reverse_init(void *memory, ph_instance *in, const ph_backwards *functions, int n) {
     ph_reverse *r = memory;
     ph_pool pool = {memory, 0};
-    memset(memory, 0, ph_reverse_size(in, kernels, ledgers, n));
-    *r = begun(in, kernels, ledgers, n);
+    memset(memory, 0, ph_reverse_size(in, functions, n));
+    *r = begun(in, functions, n);
     ph_take(&pool, sizeof(*r));
     lay_out(r, &pool);
+    if (r->fast)
+        r->fast->init(r->schur, in->model->step, n);
     return r;
 }
 
 double *ph_reverse_bars(ph_reverse *r) {
     return r->bars;
+}
+
+int ph_reverse_by_schur(const ph_reverse *r) {
+    return r->by_schur;
 }

@@ -7,9 +7,14 @@
 struct ph_reverse {
     ph_instance *in;
     const ph_function *kernels, *ledgers;
-    int n;        /* measures */
-    double *bars; /* n x ph_reverse_width */
-    double *x;    /* nx+1+na: the states at the start of a part */
+    const ph_schur_back *fast; /* or NULL */
+    void *schur;               /* its work space */
+    int quick;                 /* 1: it has the equations of the present part */
+    int by_schur;              /* parts that went back by it */
+    double h;                  /* of the present part */
+    int n;                     /* measures */
+    double *bars;              /* n x ph_reverse_width */
+    double *x;                 /* nx+1+na: the states at the start of a part */
 
     double *xb;     /* nx+1+na: bars of one system, as are the next two */
     double *yb;     /* nv+nz */

@@ -201,4 +201,23 @@ static PH_WRITTEN ph_lane difference(const ph_lane *a, int plus, int minus) {
     return PH_SMALL && minus == PH_SMALL ? a[plus] : a[plus] - a[minus];
 }
 
+/* Arguments of instance i of a function: numbers, differences of lanes, coordinates of a constraint, a spring
+ * or a force. */
+#define PH_ROOM(n) ((n) > 0 ? (n) : 1)
+#define PH_TAKE(type, name, size, from, table)                                                               \
+    type name[PH_ROOM(size)];                                                                                \
+    PH_UNROLL                                                                                                \
+    for (int j = 0; j < size; j++)                                                                           \
+        name[j] = (from)[(table)[i * size + j]];
+#define PH_DIFFERENCES(name, size, from, plus, minus)                                                        \
+    ph_lane name[PH_ROOM(size)];                                                                             \
+    PH_UNROLL                                                                                                \
+    for (int j = 0; j < size; j++)                                                                           \
+        name[j] = difference(from, (plus)[i * size + j], (minus)[i * size + j]);
+#define PH_POINTS                                                                                            \
+    PH_DIFFERENCES(d, PH_NX, x, plus, minus)                                                                 \
+    PH_UNROLL                                                                                                \
+    for (int j = 0; j < PH_NX; j++)                                                                          \
+        d[j] += point[i * PH_NX + j];
+
 #endif
