@@ -132,7 +132,7 @@ def export_apart(args: argparse.Namespace, s: Scene) -> int:
     from phfmu.cli.timeline import started
     from phfmu.fmu.export.export import PLATFORMS
     from phfmu.fmu.version import VERSIONS
-    from phfmu.network.as_unit.export import export_network
+    from phfmu.network.as_unit.export import export_network, untold_of
     from phfmu.network.couplings.coupling_table import NEWTON
     from phfmu.network.network import Network
     from phfmu.ssp.export import network_of
@@ -142,8 +142,7 @@ def export_apart(args: argparse.Namespace, s: Scene) -> int:
     if not isinstance(s.system, Network):
         raise ValueError(f"{args.target} has no members to keep apart; leave out --as-unit")
     given = settings(args.set)
-    declared = network_of(s).declared
-    known = [f"{m}.{n}" for m, d in declared.items() for n in d.settable_names()]
+    known = [f"{m}.{n}" for m, d in network_of(s).members.items() for n in d.settable_names()]
     events, notes = started(s.events, given, known)
     begun = {e.name: e.value for e in events if e.t <= 0.0}
     s = replace(s, system=with_settings(with_settings(s.system, begun), given))
@@ -162,7 +161,7 @@ def export_apart(args: argparse.Namespace, s: Scene) -> int:
         tunable=[*args.tunable, *changed], events=inside, coupling=args.coupling or NEWTON.name,
         sequence=args.sequence and [name.strip() for name in args.sequence.split(",")],
     )  # fmt: skip
-    return _said(notes, left_out, paths)
+    return _said(notes, [*left_out, *untold_of(network)], paths)
 
 
 def _require_coupling(args: argparse.Namespace) -> None:

@@ -59,11 +59,10 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String instanceName, fmi3String ins
                                          fmi3LogMessageCallback logMessage,
                                          fmi3IntermediateUpdateCallback intermediateUpdate) {
     fmu *f;
-    (void)resourcePath;
     (void)visible;
     (void)requiredIntermediateVariables;
     (void)intermediateUpdate;
-    f = fmu_create(instanceName, instantiationToken, loggingOn ? FMU_LOG_ALL : 0, sink,
+    f = fmu_create(instanceName, instantiationToken, resourcePath, loggingOn ? FMU_LOG_ALL : 0, sink,
                    (void (*)(void))logMessage, instanceEnvironment);
     if (f)
         f->early = earlyReturnAllowed;

@@ -49,11 +49,15 @@ static size_t model_size(const fmu *f) {
     return switches(f) ? switches(f)->state_size(f) : f->map->state_size(f->of);
 }
 
-static void save_model(const fmu *f, void *out) {
-    if (switches(f))
-        switches(f)->save(f, out);
-    else
-        f->map->save(f->of, out);
+static int save_model(const fmu *f, void *out) {
+    if (!switches(f))
+        return f->map->save(f->of, out);
+    switches(f)->save(f, out);
+    return PH_OK;
+}
+
+static char *model_in(const fmu *f, void *state) {
+    return (char *)state + sizeof(saved) + books_size(f) + impulses_size(f);
 }
 
 size_t fmu_state_size(const fmu *f) {
@@ -67,8 +71,10 @@ int fmu_save(fmu *f, const char *function, void **state) {
     int n;
     if (fmu_allow(f, function, FMU_ANY) || fmu_given(f, function, state != NULL))
         return FMU_ERROR;
+    if (f->map->returns && !f->map->returns(f->about->of) && f->phase.mode != FMU_INSTANTIATED)
+        return fmu_refuse(f, "%s: a unit inside cannot save its state", function);
     if (!*state)
-        *state = malloc(fmu_state_size(f));
+        *state = calloc(1, fmu_state_size(f));
     if (!*state)
         return fmu_refuse(f, "%s: no memory for a state (%zu bytes)", function, fmu_state_size(f));
     to = *state;
@@ -81,8 +87,9 @@ int fmu_save(fmu *f, const char *function, void **state) {
     s = fmu_impulse_values(f, &n);
     if (n > 0)
         memcpy(place, s, impulses_size(f));
-    save_model(f, place + impulses_size(f));
-    return FMU_OK;
+    return save_model(f, place + impulses_size(f))
+               ? fmu_refuse(f, "%s: %s", function, ph_status_text(PH_UNIT))
+               : FMU_OK;
 }
 
 static int check(const fmu *f, const char *function, const saved *from) {
@@ -123,6 +130,8 @@ int fmu_forget(fmu *f, void **state) {
     if (!f)
         return FMU_ERROR;
     if (state) {
+        if (*state && f->map->forget)
+            f->map->forget(f->of, model_in(f, *state));
         free(*state);
         *state = NULL;
     }
