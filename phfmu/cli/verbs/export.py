@@ -134,8 +134,11 @@ def export_apart(args: argparse.Namespace, s: Scene) -> int:
     from phfmu.fmu.version import VERSIONS
     from phfmu.network.as_unit.export import export_network, untold_of
     from phfmu.network.couplings.coupling_table import NEWTON
+    from phfmu.network.couplings.gathered import composed_members, gathered
     from phfmu.network.network import Network
+    from phfmu.signals import of_member
     from phfmu.ssp.export import network_of
+    from phfmu.words import first_few
 
     if odd := [n for n, on in {"--node-inputs": args.node_inputs, "--impulses": args.impulses}.items() if on]:
         raise ValueError(f"--as-unit and {odd[0]} do not go together: inputs of the whole are held over a step")
@@ -148,10 +151,15 @@ def export_apart(args: argparse.Namespace, s: Scene) -> int:
     s = replace(s, system=with_settings(with_settings(s.system, begun), given))
     require_sound_scene(args, s)
     network, events = network_of(s), [e for e in events if e.t > 0.0]
-    parameters = {f"{m}.{n}" for m, d in network.declared.items() for v in d.parameters for n in (v.name, *v.names())}
+    if not args.sequence:  # as a run does
+        network = gathered(network)
+    own = [(m, n) for m, d in network.declared.items() for v in d.parameters for n in (v.name, *v.names())]
+    parameters = {of_member(m, n) for m, n in own}
     changed = [n for n in dict.fromkeys(e.name for e in events) if n in parameters]
     inside, left_out = _told(args, events, changed)
     left_out += [f"{s.restart} damping steps after each event"] if s.restart else []
+    if one := composed_members(network):
+        notes = [*notes, f"composed to one member: {first_few(one)}, as in a run"]
     asked = {_short(n): n for n in VERSIONS}
     paths = export_network(
         network, args.output, {n: scheme_of(args, d, member=True) for n, d in network.declared.items()},

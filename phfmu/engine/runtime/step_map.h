@@ -37,7 +37,7 @@ typedef struct ph_step_map {
     size_t (*size)(const void *about);
     int (*init)(void *memory, const void *about);
     int (*open)(void *of, const ph_surroundings *around); /* before anything else; NULL: it needs no files */
-    void (*release)(void *of); /* what init has allocated besides; NULL: nothing */
+    void (*release)(void *of);                            /* what init has allocated besides; NULL: nothing */
     int (*reset)(void *of);
     int (*initialise)(void *of);
     int (*refresh)(void *of);
@@ -64,8 +64,14 @@ typedef struct ph_step_map {
     int (*save)(void *of, void *out);
     int (*load)(void *of, const void *from);
     const char *(*state_fault)(const void *of, const void *from);
-    int (*returns)(const void *about); /* whether states are saved, and refused steps taken back; NULL: they are */
-    void (*forget)(void *of, void *state); /* what a saved state holds besides its bytes; NULL: nothing */
+    int (*returns)(
+        const void *about); /* whether states are saved, and refused steps taken back; NULL: they are */
+    /* What a saved state holds besides its bytes; NULL: nothing. It is freed; how many bytes it becomes;
+     * these, after which `state` holds none; it is made of n bytes. `state`: a copy in the last two. */
+    void (*forget)(void *of, void *state);
+    int (*held_size)(void *of, void *state, size_t *n);
+    int (*write_held)(void *of, void *state, char *bytes);
+    int (*read_held)(void *of, void *state, const char *bytes, size_t n);
     const double *(*joined)(const void *of); /* what only the whole tells: values at its junctions, or NULL */
 } ph_step_map;
 

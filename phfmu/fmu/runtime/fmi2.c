@@ -92,11 +92,7 @@ fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *FMUstate) {
 }
 
 fmi2Status fmi2SerializedFMUstateSize(fmi2Component c, fmi2FMUstate FMUstate, size_t *size) {
-    (void)FMUstate;
-    if (!c || fmu_given(c, __func__, size != NULL))
-        return fmi2Error;
-    *size = fmu_state_size(c);
-    return fmi2OK;
+    return STATUS(fmu_written_size(c, __func__, FMUstate, size));
 }
 
 fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate FMUstate, fmi2Byte serializedState[],

@@ -133,11 +133,7 @@ fmi3Status fmi3FreeFMUState(fmi3Instance instance, fmi3FMUState *FMUState) {
 }
 
 fmi3Status fmi3SerializedFMUStateSize(fmi3Instance instance, fmi3FMUState FMUState, size_t *size) {
-    (void)FMUState;
-    if (!instance || fmu_given(instance, __func__, size != NULL))
-        return fmi3Error;
-    *size = fmu_state_size(instance);
-    return fmi3OK;
+    return STATUS(fmu_written_size(instance, __func__, FMUState, size));
 }
 
 fmi3Status fmi3SerializeFMUState(fmi3Instance instance, fmi3FMUState FMUState, fmi3Byte serializedState[],

@@ -1,4 +1,4 @@
-"""Units of other tools inside the unit of a coupled network: what can be there, what is told of one, its table in C and its files.
+"""Units of other tools inside the unit of a coupled network: what can be there, what is told of it, its table in C, its files.
 
 Its library, resources and licences stand among the resources of the unit, in a folder that is called as the member; C loads it
 from there (`runtime/embedded.h`).
@@ -6,6 +6,7 @@ from there (`runtime/embedded.h`).
 
 from __future__ import annotations
 
+import ctypes
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -37,6 +38,12 @@ _ENERGIES = (
     ("supplied_step", "row_supplied", "energy supplied through ports in the last step, estimated"),
 )
 
+#: types of values in C
+_IN_C: dict[Any, str] = {ctypes.c_int: "int", ctypes.c_bool: "bool", ctypes.c_float: "float"}
+_IN_C |= {getattr(ctypes, f"c_{u}int{b}"): f"{u}int{b}_t" for u in ("", "u") for b in (8, 16, 32, 64)} | {
+    ctypes.c_int: "int"
+}
+
 
 def require_embeddable(network: Network, platforms: Sequence[str]) -> None:
     """FMUError for units that cannot be inside another one."""
@@ -63,10 +70,12 @@ def _problem(file: UnitFile, archive: Archive, platforms: Sequence[str]) -> str:
     if missing := [p for p in platforms if not library_of(archive, p)]:
         there = [p for p in PLATFORMS if library_of(archive, p)]
         return f"has no library for {', '.join(missing)}; it has some for {', '.join(there) or 'none'}: leave the others out"
-    if bad := [n for n in file.starts if about.variables[n].type != "Float64" or about.variables[n].size]:
-        return f"the start of {bad[0]} is given, which is no number of type Real or Float64: set it in the unit"
-    if about.early_return and about.event_mode and about.clocks:
-        return "has clocks"
+    if bad := [n for n in file.starts if about.variables[n].size]:
+        return f"the start of {bad[0]} is given, an entry of an array: set it in the unit"
+    if bad := [n for p in file.port_maps for n in (*p.inputs, *p.outputs) if about.variables[n].type != "Float64"]:
+        return (
+            f"the variable {bad[0]} of a port is of the type {about.variables[bad[0]].type}; ports are of type Float64"
+        )
     return ""
 
 
@@ -120,7 +129,13 @@ class Embedded:
         known = [*parameters, *(variables[n] for n in self.unit.other_inputs)]
         known = [v for v in known if v.type == "Float64" and not v.size and writable_name(v.name)]
         names = {v.name for v in known}
-        return [*known, *(variables[n] for n in self.file.starts if n not in names)]
+        return [*known, *(v for n in self.file.starts if n not in names and (v := variables[n]).type == "Float64")]
+
+    @cached_property
+    def typed(self) -> list[Scalar]:
+        """Variables of other types than Float64 whose start was given."""
+        variables = self.file.interface.variables
+        return [v for n in self.file.starts if (v := variables[n]).type != "Float64"]
 
     @cached_property
     def step(self) -> Any:
@@ -168,7 +183,8 @@ class Embedded:
                     yield self._quantity(v, "input", "input", i, float(begin[i] / self.unit.input_sign[i]) + 0.0)
                 elif p.name not in joined:
                     raise FMUError(
-                        f"{self.name}.{p.name}: a free port whose variable '{name}' counts in other units than its domain; join it"
+                        f"{self.name}.{p.name}: the variable '{name}' of this free port counts in other units than its domain; "
+                        "join the port"
                     )
             first += len(p.inputs)
 
@@ -206,6 +222,7 @@ class Embedded:
         }
         settable = [scalars(f"set{i}", [v], np.ones(1)) for i, v in enumerate(self.settable)]
         texts.append(f"static const ph_scalars {symbol}_settable[] = {{{', '.join(settable) or '{0}'}}};\n")
+        texts.append(self._typed_text(f"{symbol}_typed", version))
         late = [v.causality == "input" or v.variability == "tunable" for v in self.settable]
         watched = [i for i, v in enumerate(self.told) if v.causality == "output"]
         arrays = {
@@ -219,7 +236,7 @@ class Embedded:
             "saves": int(about.saves), "serialises": int(about.saves and about.serialises),
             "no_set_prior": int(self.unit.steps.no_set_prior is not False),
             "tolerance_told": int(self.file.tolerance is not None), "tolerance": number(self.file.tolerance or 0.0),
-            "nu": nu, "np": len(self.settable), "nlooked": len(outputs), "nwatched": len(watched),
+            "nu": nu, "np": len(self.settable), "ntyped": len(self.typed), "nlooked": len(outputs), "nwatched": len(watched),
         }  # fmt: skip
         members = {
             "member": c_string(self.name),
@@ -227,13 +244,30 @@ class Embedded:
             "token": c_string(about.token),
         }
         members |= {"standard": f"ph_standard_{version.prefix}"} | numbers | groups
-        members |= {"settable": f"{symbol}_settable"} | {n: f"{symbol}_{n}" for n, (_, a) in arrays.items() if len(a)}
+        members |= {"settable": f"{symbol}_settable", "typed": f"{symbol}_typed"} | {
+            n: f"{symbol}_{n}" for n, (_, a) in arrays.items() if len(a)
+        }
         rows = "".join(f"    .{n} = {text},\n" for n, text in members.items())
         finish = "ph_embedded_finish" if self.member.finishes else "0"
-        return (
-            f"{''.join(texts)}static const ph_embedded_about {symbol}_about = {{\n{rows}    .library = {{{self._libraries()}}},\n}};\n"
-            f"static const ph_embedded {symbol} = {{&{symbol}_about, ph_map_embedded, ph_kind_embedded, {finish}}};\n"
+        table = (
+            f"static const ph_embedded_about {symbol}_about = {{\n{rows}    .library = {{{self._libraries()}}},\n}};\n"
         )
+        map_and_kind = f"&{symbol}_about, ph_map_embedded, ph_kind_embedded, {finish}"
+        return f"{''.join(texts)}{table}static const ph_embedded {symbol} = {{{map_and_kind}}};\n"
+
+    def _typed_text(self, name: str, version: Version) -> str:
+        """Starts of other types, as the functions of the version take them."""
+        texts, rows = list[str](), list[str]()
+        for i, v in enumerate(self.typed):
+            word, element = version.types[v.type]
+            found = References([v], version)
+            found.values[:] = self.file.starts[v.name]
+            found.spread(found.by_type[0])
+            (value,) = found.by_type[0].buffer.tolist()
+            written = f"{value!r}f" if element is ctypes.c_float else str(int(value))
+            texts.append(f"static const {_IN_C[element]} {name}{i} = {written};\n")
+            rows.append(f'{{"Set{word}", {v.reference}u, &{name}{i}}}')
+        return f"{''.join(texts)}static const ph_typed {name}[] = {{{', '.join(rows) or '{0}'}}};\n"
 
     def _libraries(self) -> str:
         archive = open_archive(self.file.path)

@@ -16,6 +16,7 @@ from phfmu.network.couplings.named import named_coupling, repeats
 from phfmu.network.members.unit_member import tried
 from phfmu.network.network import Network
 from phfmu.schemes.scheme import Scheme
+from phfmu.signals import of_member
 from phfmu.words import meant
 
 
@@ -52,7 +53,7 @@ def export_network(
     require_embeddable(network, [host_platform()] if platforms is None else platforms)
     found = tried(network.units, step) if network.units and repeats(coupling) else {}
     whole, models = coupled_members(network, joined_by, schemes, step, found)
-    parameters = [(f"{name}.", v) for name, d in network.declared.items() for v in d.parameters]
+    parameters = [(of_member(name, ""), v) for name, d in network.declared.items() for v in d.parameters]
     known = {at + n: [at + n] for at, v in parameters for n in v.names()}
     known |= {at + v.name: [at + n for n in v.names()] for at, v in parameters}
     if lost := [n for n in [*tunable, *(e.name for e in events)] if n not in known]:

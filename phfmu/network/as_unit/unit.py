@@ -27,6 +27,7 @@ from phfmu.network.as_unit.embedded import Embedded
 from phfmu.network.as_unit.text import SOLVER_FILES, network_files
 from phfmu.network.couplings.compiled.master import Master
 from phfmu.network.couplings.coupled import Coupled
+from phfmu.network.couplings.gathered import COMPOSED
 from phfmu.network.couplings.named import Named
 from phfmu.network.members.fmu_member import FMUMember
 from phfmu.network.members.rollback import Rollback
@@ -54,6 +55,10 @@ _LENGTHS = {
     "x": "nx", "a": "na", "a_end": "na", "y_step": "nq", "y_end": "nq", "energy": "nq", "row_pairs": "nq", "parameter": "np",
     "tunable": "np", "input": "nu", "observables": "nobs",
 }  # fmt: skip
+
+
+#: what the whole tells of all members, also where one that is composed of several has no name
+_TOTALS = {total(name) for name, _, _ in (*LEDGER, *STEP_LEDGER)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +118,7 @@ class NetworkUnit(Unit):
 
     @property
     def serialises(self) -> bool:
-        return self.saves and not self.units
+        return self.saves and all(m.file.interface.serialises for m in self.units)
 
     @property
     def one_step(self) -> bool:
@@ -215,7 +220,7 @@ class NetworkUnit(Unit):
             inner = {n for p in fed for e in ("", MEAN) for n in p.output_names(e)} | {port_energy(p.name) for p in fed}
             told = quantities(model)
         for q in told:
-            if q.causality == "independent":
+            if q.causality == "independent" or (not name and q.name in _TOTALS):
                 continue
             at = q.first + first[q.block if q.block in _LENGTHS else ""]
             found = replace(q, name=of_member(name, q.name), first=at)
@@ -335,6 +340,7 @@ def with_fed_inside(network: Network, names: Sequence[str]) -> Network:
     own: dict[str, list[str]] = {}
     for name in names:
         member, _, rest = name.partition(".")
+        member, rest = (member, rest) if member in network.members else (COMPOSED, name)
         own.setdefault(member, []).append(rest)
     members = {n: fed_inside(d, own[n]) if n in own and isinstance(d, PHDAE) else d for n, d in network.members.items()}
     return replace(network, members=members)

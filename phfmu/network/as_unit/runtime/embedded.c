@@ -10,7 +10,8 @@
 
 #include "system.h"
 
-/* -- calls ------------------------------------------------------------------------------------------------ */
+/* -- calls ------------------------------------------------------------------------------------------------
+ */
 
 static const char *answer_of(int status) {
     static const char *const words[] = {"ok", "warning", "discard", "error", "fatal", "pending"};
@@ -38,7 +39,8 @@ static int set(ph_embedded_unit *e, const ph_scalars *s) {
     return s->n ? asked(e, e->unit.version->set(&e->unit, s)) : PH_OK;
 }
 
-/* -- books ------------------------------------------------------------------------------------------------ */
+/* -- books ------------------------------------------------------------------------------------------------
+ */
 
 /* Outputs and displacements now, inward. */
 static int look(ph_embedded_unit *e, double *to) {
@@ -76,12 +78,14 @@ static void book(ph_embedded_unit *e, double h, const double *after) {
     e->table[e->offset[PH_SUPPLIED]] = e->table[e->offset[PH_H]] = sum(e->supplied, a->nu);
 }
 
-/* -- the step map ----------------------------------------------------------------------------------------- */
+/* -- the step map -----------------------------------------------------------------------------------------
+ */
 
 static void sizes(const void *about, ph_sizes *s) {
     const ph_embedded_about *a = about;
     static const double one = 1.0;
-    *s = (ph_sizes){.nu = a->nu, .nq = a->nu, .np = a->np, .nobs = a->told.n, .ncomp = 1, .k = 1, .weights = &one};
+    *s = (ph_sizes){
+        .nu = a->nu, .nq = a->nu, .np = a->np, .nobs = a->told.n, .ncomp = 1, .k = 1, .weights = &one};
 }
 
 static size_t size(const void *about) {
@@ -165,7 +169,8 @@ static int open(void *of, const ph_surroundings *around) {
     int status;
     e->around = *around;
     if (!around->resources)
-        return ph_embedded_refuse(e, "the importer has not told where the resources are, which the unit inside is in");
+        return ph_embedded_refuse(
+            e, "the importer has not told where the resources are, which the unit inside is in");
     resources = ph_path_of(around->resources);
     e->folder = resources ? malloc(strlen(resources) + strlen(e->about->member) + 2) : NULL;
     if (e->folder)
@@ -240,6 +245,8 @@ static int set_starts(ph_embedded_unit *e) {
     for (int i = 0; i < a->np && status == PH_OK; i++)
         if (a->given[i] || e->p[i] != a->start[i])
             status = set_now(e, i, e->p[i]);
+    for (int i = 0; i < a->ntyped && status == PH_OK; i++)
+        status = asked(e, e->standard->set(e, &a->typed[i]));
     return status;
 }
 
@@ -429,6 +436,38 @@ static void forget(void *of, void *state) {
         ((ph_embedded_unit *)of)->standard->forget(of, &from->state);
 }
 
+static int held_size(void *of, void *state, size_t *n) {
+    ph_embedded_unit *e = of;
+    const saved *from = state;
+    *n = 0;
+    if (!from->state)
+        return PH_OK;
+    if (!e->about->serialises)
+        return ph_embedded_refuse(e, "the unit inside cannot write its state as bytes");
+    return asked(e, e->standard->size(e, from->state, n));
+}
+
+/* What is written names no place in memory. */
+static int write_held(void *of, void *state, char *bytes) {
+    saved *from = state;
+    size_t n;
+    int status = held_size(of, state, &n);
+    if (status == PH_OK && from->state)
+        status = asked(of, ((ph_embedded_unit *)of)->standard->write(of, from->state, bytes, n));
+    from->state = NULL;
+    return status;
+}
+
+static int read_held(void *of, void *state, const char *bytes, size_t n) {
+    saved *to = state;
+    to->state = NULL;
+    if (n == 0)
+        return to->begun ? PH_VALUE : PH_OK;
+    if (!((ph_embedded_unit *)of)->about->serialises)
+        return PH_VALUE;
+    return asked(of, ((ph_embedded_unit *)of)->standard->read(of, bytes, n, &to->state));
+}
+
 static const char *state_fault(const void *of, const void *from) {
     const ph_embedded_unit *e = of;
     const double *values = (const double *)(const void *)((const char *)from + ph_padded(sizeof(saved)));
@@ -466,11 +505,15 @@ const ph_step_map *ph_map_embedded(void) {
         .state_fault = state_fault,
         .returns = returns,
         .forget = forget,
+        .held_size = held_size,
+        .write_held = write_held,
+        .read_held = read_held,
     };
     return &map;
 }
 
-/* -- the share of the master ------------------------------------------------------------------------------ */
+/* -- the share of the master ------------------------------------------------------------------------------
+ */
 
 static int keep(const ph_share *s) {
     ph_embedded_unit *e = s->of;
@@ -571,12 +614,14 @@ static int record(const ph_share *s, double *to) {
     (void)to;
     for (int i = 0; i < e->about->nwatched && status == PH_OK; i++)
         if (!isfinite(e->table[e->offset[PH_OBSERVABLES] + e->about->watched[i]]))
-            return ph_embedded_refuse(e, "an output is not finite at t = %.9g s", e->table[e->offset[PH_TIME]]);
+            return ph_embedded_refuse(e, "an output is not finite at t = %.9g s",
+                                      e->table[e->offset[PH_TIME]]);
     return status;
 }
 
 /* It takes no impulses, and signals that are held are not exchanged in units. */
 const ph_kind *ph_kind_embedded(void) {
-    static const ph_kind kind = {keep, restore, step, share_refresh, none, none, along, present, record, none, none, NULL};
+    static const ph_kind kind = {keep,  restore, step,   share_refresh, none, none,
+                                 along, present, record, none,          none, NULL};
     return &kind;
 }

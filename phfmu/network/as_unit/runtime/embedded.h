@@ -1,18 +1,36 @@
-/* A unit of another tool inside a unit of coupled members: what is constant of it, its instance, and the calls of
- * its version of the standard that begin and end it. Its steps are calls of couplings/runtime/unit_fmi*.c.
+/* A unit of another tool inside a unit of coupled members: what is constant of it, its instance, and the
+ * calls of its version of the standard that begin and end it. Its steps are calls of
+ * couplings/runtime/unit_fmi*.c.
  *
- * Its blocks: outputs of its ports, observables, which are all other values that it tells, and the energy that
- * was supplied, which counts as stored: what it dissipates it keeps to itself (unit_books.py). */
+ * Its blocks: outputs of its ports, observables, which are all other values that it tells, and the energy
+ * that was supplied, which counts as stored: what it dissipates it keeps to itself (unit_books.py). */
 #ifndef PH_EMBEDDED_H
 #define PH_EMBEDDED_H
+
+#include <stdint.h>
 
 #include "network.h"
 #include "unit.h"
 
 /* Platforms that units are compiled for. */
-enum { PH_X86_64_LINUX, PH_AARCH64_LINUX, PH_X86_64_WINDOWS, PH_X86_64_DARWIN, PH_AARCH64_DARWIN, PH_NPLATFORM };
+enum {
+    PH_X86_64_LINUX,
+    PH_AARCH64_LINUX,
+    PH_X86_64_WINDOWS,
+    PH_X86_64_DARWIN,
+    PH_AARCH64_DARWIN,
+    PH_NPLATFORM
+};
 
 struct ph_embedded_unit;
+
+/* The start of a variable of another type than Float64: the function that sets it, without its prefix, and
+ * the value as that takes it. */
+typedef struct ph_typed {
+    const char *function;
+    unsigned reference;
+    const void *value;
+} ph_typed;
 
 /* The calls of a version; they answer PH_OK, or PH_UNIT with what was answered in the unit. */
 typedef struct ph_standard {
@@ -20,6 +38,7 @@ typedef struct ph_standard {
     int (*bind)(struct ph_embedded_unit *e); /* functions of the library */
     int (*begin)(struct ph_embedded_unit *e, const char *name, const char *resources);
     int (*enter)(struct ph_embedded_unit *e, double start); /* Initialization Mode */
+    int (*set)(struct ph_embedded_unit *e, const ph_typed *start);
     int (*leave)(struct ph_embedded_unit *e);
     int (*reset)(struct ph_embedded_unit *e);
     void (*end)(struct ph_embedded_unit *e);
@@ -31,7 +50,7 @@ typedef struct ph_standard {
 
 /* A group without memory for values; see ph_scalars. */
 typedef struct ph_embedded_about {
-    const char *member;                /* its name in the network, and that of its folder among the resources */
+    const char *member; /* its name in the network, and that of its folder among the resources */
     const char *library[PH_NPLATFORM]; /* there; NULL: none for this platform */
     const char *identifier, *token;
     const ph_standard *(*standard)(void);
@@ -39,7 +58,7 @@ typedef struct ph_embedded_about {
     int no_set_prior;   /* what trials are told as noSetFMUStatePriorToCurrentPoint */
     int tolerance_told; /* whether the tolerance is defined */
     double tolerance;   /* relative, of the experiment */
-    int nu, np, nlooked, nwatched;
+    int nu, np, ntyped, nlooked, nwatched;
     ph_scalars input;           /* of nu */
     ph_scalars looked;          /* what steps are booked with: nu outputs, then displacements */
     ph_scalars told;            /* observables */
@@ -47,6 +66,7 @@ typedef struct ph_embedded_about {
     const double *start;        /* np */
     const int *given;           /* np: whether its start is set although nobody changes it */
     const int *late;            /* np: whether it may be set after the start */
+    const ph_typed *typed;      /* ntyped: starts that were given */
     const double *begin;        /* nu: inputs before anyone sets them, inward */
     const int *rate;            /* nu: place of the displacement whose rate the output is, or -1 */
     const int *watched;         /* nwatched: observables that have to be finite */

@@ -79,6 +79,16 @@ static int enter(ph_embedded_unit *e, double start) {
     return status ? status : ASK(e, EnterInitializationMode, e->unit.instance);
 }
 
+/* One value, of any type: its functions differ in that alone. */
+static int set(ph_embedded_unit *e, const ph_typed *start) {
+    int (*call)(void *, const unsigned *, size_t, const void *);
+    char name[32];
+    snprintf(name, sizeof(name), "fmi2%s", start->function);
+    if (!ph_embedded_function(e, name, &call, sizeof(call)) || !ph_unit_begin(&e->unit, start->function))
+        return PH_REFUSED;
+    return ph_unit_answer(&e->unit, call(e->unit.instance, &start->reference, 1, start->value));
+}
+
 static int leave(ph_embedded_unit *e) {
     return ASK(e, ExitInitializationMode, e->unit.instance);
 }
@@ -108,7 +118,7 @@ static int read(ph_embedded_unit *e, const char *bytes, size_t n, void **state) 
 }
 
 const ph_standard *ph_standard_fmi2(void) {
-    static const ph_standard standard = {ph_unit_fmi2, bind,   begin, enter, leave, reset,
-                                         end,          forget, size,  write, read};
+    static const ph_standard standard = {ph_unit_fmi2, bind, begin,  enter, set,   leave,
+                                         reset,        end,  forget, size,  write, read};
     return &standard;
 }

@@ -63,7 +63,18 @@ static int begin(ph_embedded_unit *e, const char *name, const char *resources) {
 
 static int enter(ph_embedded_unit *e, double start) {
     const ph_embedded_about *a = e->about;
-    return ASK(e, EnterInitializationMode, e->unit.instance, a->tolerance_told, a->tolerance, start, false, 0.0);
+    return ASK(e, EnterInitializationMode, e->unit.instance, a->tolerance_told, a->tolerance, start, false,
+               0.0);
+}
+
+/* One value, of any type: its functions differ in that alone. */
+static int set(ph_embedded_unit *e, const ph_typed *start) {
+    int (*call)(void *, const unsigned *, size_t, const void *, size_t);
+    char name[32];
+    snprintf(name, sizeof(name), "fmi3%s", start->function);
+    if (!ph_embedded_function(e, name, &call, sizeof(call)) || !ph_unit_begin(&e->unit, start->function))
+        return PH_REFUSED;
+    return ph_unit_answer(&e->unit, call(e->unit.instance, &start->reference, 1, start->value, 1));
 }
 
 static int leave(ph_embedded_unit *e) {
@@ -95,7 +106,7 @@ static int read(ph_embedded_unit *e, const char *bytes, size_t n, void **state) 
 }
 
 const ph_standard *ph_standard_fmi3(void) {
-    static const ph_standard standard = {ph_unit_fmi3, bind,   begin, enter, leave, reset,
-                                         end,          forget, size,  write, read};
+    static const ph_standard standard = {ph_unit_fmi3, bind, begin,  enter, set,   leave,
+                                         reset,        end,  forget, size,  write, read};
     return &standard;
 }

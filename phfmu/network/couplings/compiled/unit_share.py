@@ -77,7 +77,8 @@ class UnitShare:
             "row": self._scalars(self._named(self._row), range(len(self._row)), np.ones(len(self._row))),
             "unknown": self._scalars(unknown, at, sign), "known": self._memory.array(self._known(kicked)),
             "nrow": len(self._row), "y": self._y, "now": self._now,
-            "impulses": np.zeros(2 * part.kicks), "no_set_prior": 1, "time": 0.0, "length": 0.0, "answer": 0, "call": None, "refused": None,
+            "impulses": np.zeros(2 * part.kicks), "no_set_prior": 1, "time": 0.0, "length": 0.0, "answer": 0,
+            "call": None, "refused": None,
         }  # fmt: skip
 
     # -- variables --------------------------------------------------------------------------------------------------

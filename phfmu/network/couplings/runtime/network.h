@@ -30,8 +30,8 @@ typedef struct ph_network_member {
     const ph_ports *ports;   /* NULL: it takes no impulses */
     ph_share share;
     ph_native native; /* of a model */
-    int held;  /* whether its inputs are held over a step, not given at nodes */
-    int nroom; /* of the share, those of the native behind them */
+    int held;         /* whether its inputs are held over a step, not given at nodes */
+    int nroom;        /* of the share, those of the native behind them */
     int nnative;
     const ph_room *rooms; /* nroom + nnative */
 } ph_network_member;

@@ -407,6 +407,9 @@ const ph_step_map *ph_map_network(void) {
         .state_fault = ph_whole_state_fault,
         .returns = ph_whole_returns,
         .forget = ph_whole_forget,
+        .held_size = ph_whole_held_size,
+        .write_held = ph_whole_write_held,
+        .read_held = ph_whole_read_held,
         .joined = joined,
     };
     return &network;

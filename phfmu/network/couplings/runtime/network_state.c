@@ -208,13 +208,82 @@ int ph_whole_returns(const void *about) {
     return 1;
 }
 
+/* The state of a member in one of all. */
+static char *member_state(const ph_whole *w, int i, void *state) {
+    char *place = state;
+    for (int before = 0; before < i; before++)
+        place += member_size(w, before) + ph_padded(ph_whole_values_size(w, before));
+    return place;
+}
+
 void ph_whole_forget(void *of, void *state) {
     const ph_whole *w = of;
-    char *place = state;
     for (int i = 0; i < w->about->nmember; i++) {
         const ph_whole_member *m = &w->members[i];
         if (m->map->forget)
-            m->map->forget(m->of, place);
-        place += member_size(w, i) + ph_padded(ph_whole_values_size(w, i));
+            m->map->forget(m->of, member_state(w, i, state));
     }
+}
+
+/* Of each member that keeps something: how many bytes, then these. */
+int ph_whole_held_size(void *of, void *state, size_t *n) {
+    const ph_whole *w = of;
+    int status = PH_OK;
+    *n = 0;
+    for (int i = 0; i < w->about->nmember && status == PH_OK; i++) {
+        const ph_whole_member *m = &w->members[i];
+        size_t own = 0;
+        if (!m->map->held_size)
+            continue;
+        status = m->map->held_size(m->of, member_state(w, i, state), &own);
+        *n += sizeof(own) + own;
+    }
+    return status;
+}
+
+int ph_whole_write_held(void *of, void *state, char *bytes) {
+    const ph_whole *w = of;
+    int status = PH_OK;
+    for (int i = 0; i < w->about->nmember && status == PH_OK; i++) {
+        const ph_whole_member *m = &w->members[i];
+        size_t own = 0;
+        if (!m->map->held_size)
+            continue;
+        status = m->map->held_size(m->of, member_state(w, i, state), &own);
+        memcpy(bytes, &own, sizeof(own));
+        if (status == PH_OK)
+            status = m->map->write_held(m->of, member_state(w, i, state), bytes + sizeof(own));
+        bytes += sizeof(own) + own;
+    }
+    return status;
+}
+
+/* Where one refuses its part, nothing is kept of any. */
+int ph_whole_read_held(void *of, void *state, const char *bytes, size_t n) {
+    const ph_whole *w = of;
+    int status = PH_OK;
+    for (int i = 0; i < w->about->nmember; i++) {
+        const ph_whole_member *m = &w->members[i];
+        size_t own = 0;
+        if (!m->map->read_held)
+            continue;
+        if (status == PH_OK && n < sizeof(own))
+            status = PH_VALUE;
+        if (status == PH_OK)
+            memcpy(&own, bytes, sizeof(own));
+        if (status == PH_OK && own > n - sizeof(own))
+            status = PH_VALUE;
+        if (status) { /* of the others nothing may be taken for something that is kept */
+            m->map->read_held(m->of, member_state(w, i, state), NULL, 0);
+            continue;
+        }
+        status = m->map->read_held(m->of, member_state(w, i, state), bytes + sizeof(own), own);
+        bytes += sizeof(own) + own;
+        n -= sizeof(own) + own;
+    }
+    if (status == PH_OK && n > 0)
+        status = PH_VALUE;
+    if (status)
+        ph_whole_forget(of, state);
+    return status;
 }

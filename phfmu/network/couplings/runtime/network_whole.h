@@ -9,9 +9,9 @@
 /* A member, its memory, owned, and where its entries begin among those of all. */
 typedef struct ph_whole_member {
     const ph_step_map *map;
-    const void *about; /* of the map */
-    void *of;          /* what takes its steps */
-    ph_instance *in;   /* the same, if that is a model's */
+    const void *about;  /* of the map */
+    void *of;           /* what takes its steps */
+    ph_instance *in;    /* the same, if that is a model's */
     ph_impulses *kicks; /* or NULL */
     void *chain;        /* an instance for derivatives, or NULL */
     void *states;       /* where it was: two of the instance, one of the impulses */
@@ -76,5 +76,8 @@ int ph_whole_load(void *of, const void *from);
 const char *ph_whole_state_fault(const void *of, const void *from);
 int ph_whole_returns(const void *about);
 void ph_whole_forget(void *of, void *state);
+int ph_whole_held_size(void *of, void *state, size_t *n);
+int ph_whole_write_held(void *of, void *state, char *bytes);
+int ph_whole_read_held(void *of, void *state, const char *bytes, size_t n);
 
 #endif
