@@ -113,13 +113,33 @@ const ph_kind *ph_kind_embedded(void);
 /* The step that was accepted once more, from where it began, as one that will not be taken back. */
 int ph_embedded_finish(void *of);
 
+/* Of the map. A call that was refused is told, and its answer PH_UNIT; outputs and displacements now, inward;
+ * outputs of ports now, in the table; inputs as `given`, or u, inward; all that it tells. */
+int ph_embedded_asked(ph_embedded_unit *e, int status);
+int ph_embedded_look(ph_embedded_unit *e, double *to);
+int ph_embedded_look_now(ph_embedded_unit *e);
+int ph_embedded_give(ph_embedded_unit *e);
+int ph_embedded_set_input(void *of, const double *u);
+int ph_embedded_refresh(void *of);
+
+/* embedded_state.c: as of ph_step_map. */
+size_t ph_embedded_state_size(const void *of);
+int ph_embedded_returns(const void *about);
+int ph_embedded_save(void *of, void *out);
+int ph_embedded_load(void *of, const void *from);
+const char *ph_embedded_state_fault(const void *of, const void *from);
+void ph_embedded_forget(void *of, void *state);
+int ph_embedded_held_size(void *of, void *state, size_t *n);
+int ph_embedded_write_held(void *of, void *state, char *bytes);
+int ph_embedded_read_held(void *of, void *state, const char *bytes, size_t n);
+
 const ph_standard *ph_standard_fmi2(void);
 const ph_standard *ph_standard_fmi3(void);
 
 /* embedded_library.c. A refusal, told: PH_UNIT. */
 int ph_embedded_refuse(ph_embedded_unit *e, const char *format, ...);
 /* The library of its folder; a function of it, 0 if there is none; the end of it. */
-int ph_embedded_load(ph_embedded_unit *e);
+int ph_embedded_library(ph_embedded_unit *e);
 int ph_embedded_function(ph_embedded_unit *e, const char *name, void *to, size_t size);
 void ph_embedded_unload(ph_embedded_unit *e);
 /* Its last message. */

@@ -87,7 +87,7 @@ static int found(void *library, const char *name, void *to, size_t size) {
 }
 #endif
 
-int ph_embedded_load(ph_embedded_unit *e) {
+int ph_embedded_library(ph_embedded_unit *e) {
     const char *name = e->about->library[PLATFORM];
     char *path;
     if (!name)
