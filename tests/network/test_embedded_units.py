@@ -170,6 +170,8 @@ def test_steps_are_repeated_as_the_unit_can(folder: Path, keeps: int) -> None:
 OTHERS = """
 <ScalarVariable name="u" valueReference="1" causality="input"><Real start="0.5"/></ScalarVariable>
 <ScalarVariable name="y" valueReference="2" causality="output"><Real/></ScalarVariable>
+<ScalarVariable name="flag" valueReference="4" causality="output"><Boolean/></ScalarVariable>
+<ScalarVariable name="choice" valueReference="7" causality="local" initial="exact"><Integer start="1"/></ScalarVariable>
 """
 
 
@@ -177,12 +179,24 @@ def test_inputs_and_parameters_that_change_are_those_of_the_run(folder: Path) ->
     """A free port that counts outward, an input without power, and a parameter of a member of this package."""
     (folder / "pump.ports.toml").write_text((folder / "pump.ports.toml").read_text().replace("sign = 1", "sign = -1"))
     foreign.unit(folder / "pump.fmu", "2.0", foreign.MASS["2.0"].format(unit="N") + OTHERS, saves=True)
-    how = ["--coupling", "gauss-seidel", "--set=pump.F=3"]
+    how = ["--coupling", "gauss-seidel", "--set=pump.F=3", "--set=pump.choice=2"]
     path = exported(folder, "driven", *how)
     rows = table(f"{folder}/scene.py:driven", 0.01, N, *how, "--restart", "0")
+    assert rows["pump.choice"][-1] == 2.0
     names = [
         n
-        for n in ("pump.q", "pump.v", "pump.y", "pump.F", "pump.u", "cart.q", "cart.v", "cart.energy.stored")
+        for n in (
+            "pump.flag",
+            "pump.choice",
+            "pump.q",
+            "pump.v",
+            "pump.y",
+            "pump.F",
+            "pump.u",
+            "cart.q",
+            "cart.v",
+            "cart.energy.stored",
+        )
         if n in rows
     ]
     with importer(path) as unit:

@@ -94,8 +94,8 @@ def call(args: argparse.Namespace) -> int:
         return export_apart(args, s)
     if s.units:
         raise ValueError(
-            f"{args.target}: a unit holds no FMU, as {', '.join(s.units)} would be; --ssp writes a package of all members, or "
-            "put declarations in their place"
+            f"{args.target}: one model holds no FMU, as {', '.join(s.units)} would be; --as-unit keeps the members apart in a "
+            "unit, --ssp writes a package of all, or put declarations in their place"
         )
     given = settings(args.set)
     events, notes = started(s.events, given, s.declaration().settable_names())

@@ -43,6 +43,9 @@ _IN_C: dict[Any, str] = {ctypes.c_int: "int", ctypes.c_bool: "bool", ctypes.c_fl
 _IN_C |= {getattr(ctypes, f"c_{u}int{b}"): f"{u}int{b}_t" for u in ("", "u") for b in (8, 16, 32, 64)} | {
     ctypes.c_int: "int"
 }
+#: and their `ph_type`
+_TYPE: dict[Any, str] = {ctypes.c_bool: "PH_BOOLEAN", ctypes.c_float: "PH_FLOAT32"}
+_TYPE |= {getattr(ctypes, f"c_{u}int{b}"): f"PH_{u.upper()}INT{b}" for u in ("", "u") for b in (8, 16, 32, 64)}
 
 
 def require_embeddable(network: Network, platforms: Sequence[str]) -> None:
@@ -87,9 +90,9 @@ def library_of(archive: Archive, platform: str) -> str | None:
 def untold(file: UnitFile) -> list[str]:
     """Lines about what the whole does not tell of a unit inside."""
     about = file.interface.variables
-    kinds = [n for n, v in about.items() if v.type != "Float64" and v.causality in ("output", "local")]
+    kinds = [n for n, v in about.items() if v.type != "Float64" and v.size and v.causality in ("output", "local")]
     names = [n for n, v in about.items() if v.type == "Float64" and not writable_name(n)]
-    lines = [f"{', '.join(kinds[:4])}{_more(kinds)}: of another type than Float64"] if kinds else []
+    lines = [f"{', '.join(kinds[:4])}{_more(kinds)}: arrays of another type than Float64"] if kinds else []
     return [*lines, *([f"{', '.join(names[:4])}{_more(names)}: no structured name"] if names else [])]
 
 
@@ -119,7 +122,8 @@ class Embedded:
     def told(self) -> list[Scalar]:
         """What it tells beside the values of its ports: all outputs and local variables."""
         scalars = [self.unit.variable(n) for n in self.member.names]
-        return [v for v in scalars if v.type == "Float64" and writable_name(v.name)]
+        told = [v for v in scalars if (v.type == "Float64" or not v.size) and writable_name(v.name)]
+        return [*(v for v in told if v.type == "Float64"), *(v for v in told if v.type != "Float64")]
 
     @cached_property
     def settable(self) -> list[Scalar]:
@@ -218,11 +222,14 @@ class Embedded:
         groups = {
             "input": scalars("input", values.u.scalars, values.input_sign),
             "looked": scalars("looked", outputs, np.append(values.output_sign, values.displacement_sign)),
-            "told": scalars("told", self.told, np.ones(len(self.told))),
+            "told": scalars("told", (own := [v for v in self.told if v.type == "Float64"]), np.ones(len(own))),
         }
         settable = [scalars(f"set{i}", [v], np.ones(1)) for i, v in enumerate(self.settable)]
         texts.append(f"static const ph_scalars {symbol}_settable[] = {{{', '.join(settable) or '{0}'}}};\n")
         texts.append(self._typed_text(f"{symbol}_typed", version))
+        others = [(version.types[v.type], v.reference) for v in self.told if v.type != "Float64"]
+        rows = ", ".join(f'{{"Get{word}", {_TYPE[element]}, {r}u, 0}}' for (word, element), r in others)
+        texts.append(f"static const ph_typed {symbol}_other[] = {{{rows or '{0}'}}};\n")
         late = [v.causality == "input" or v.variability == "tunable" for v in self.settable]
         watched = [i for i, v in enumerate(self.told) if v.causality == "output"]
         arrays = {
@@ -236,7 +243,8 @@ class Embedded:
             "saves": int(about.saves), "serialises": int(about.saves and about.serialises),
             "no_set_prior": int(self.unit.steps.no_set_prior is not False),
             "tolerance_told": int(self.file.tolerance is not None), "tolerance": number(self.file.tolerance or 0.0),
-            "nu": nu, "np": len(self.settable), "ntyped": len(self.typed), "nlooked": len(outputs), "nwatched": len(watched),
+            "nu": nu, "np": len(self.settable), "ntyped": len(self.typed), "nother": len(self.told) - len(own),
+            "nlooked": len(outputs), "nwatched": len(watched),
         }  # fmt: skip
         members = {
             "member": c_string(self.name),
@@ -244,7 +252,7 @@ class Embedded:
             "token": c_string(about.token),
         }
         members |= {"standard": f"ph_standard_{version.prefix}"} | numbers | groups
-        members |= {"settable": f"{symbol}_settable", "typed": f"{symbol}_typed"} | {
+        members |= {"settable": f"{symbol}_settable", "typed": f"{symbol}_typed", "other": f"{symbol}_other"} | {
             n: f"{symbol}_{n}" for n, (_, a) in arrays.items() if len(a)
         }
         rows = "".join(f"    .{n} = {text},\n" for n, text in members.items())
@@ -266,7 +274,7 @@ class Embedded:
             (value,) = found.by_type[0].buffer.tolist()
             written = f"{value!r}f" if element is ctypes.c_float else str(int(value))
             texts.append(f"static const {_IN_C[element]} {name}{i} = {written};\n")
-            rows.append(f'{{"Set{word}", {v.reference}u, &{name}{i}}}')
+            rows.append(f'{{"Set{word}", {_TYPE[element]}, {v.reference}u, &{name}{i}}}')
         return f"{''.join(texts)}static const ph_typed {name}[] = {{{', '.join(rows) or '{0}'}}};\n"
 
     def _libraries(self) -> str:

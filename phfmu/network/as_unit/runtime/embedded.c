@@ -54,8 +54,13 @@ int ph_embedded_look(ph_embedded_unit *e, double *to) {
 static void sizes(const void *about, ph_sizes *s) {
     const ph_embedded_about *a = about;
     static const double one = 1.0;
-    *s = (ph_sizes){
-        .nu = a->nu, .nq = a->nu, .np = a->np, .nobs = a->told.n, .ncomp = 1, .k = 1, .weights = &one};
+    *s = (ph_sizes){.nu = a->nu,
+                    .nq = a->nu,
+                    .np = a->np,
+                    .nobs = a->told.n + a->nother,
+                    .ncomp = 1,
+                    .k = 1,
+                    .weights = &one};
 }
 
 static size_t size(const void *about) {
@@ -91,7 +96,8 @@ static int init(void *memory, const void *about) {
     e->memory = calloc((size_t)(2 * e->nvalue + a->input.nvalue + a->looked.nvalue + a->told.nvalue +
                                 a->nlooked + a->nu + 1),
                        sizeof(double));
-    if (!e->memory)
+    e->readers = calloc((size_t)a->nother + 1, sizeof(*e->readers));
+    if (!e->memory || !e->readers)
         return PH_ABI;
     place = e->values = e->memory;
     e->h = taken(&place, 1);
@@ -152,6 +158,8 @@ static int open(void *of, const ph_surroundings *around) {
     status = ph_embedded_library(e);
     if (status == PH_OK)
         status = e->standard->bind(e);
+    for (int i = 0; i < e->about->nother && status == PH_OK; i++)
+        status = e->standard->find(e, &e->about->other[i], &e->readers[i]);
     if (status == PH_OK)
         status = started(e, around);
     fesetenv(&arithmetic);
@@ -166,6 +174,7 @@ static void release(void *of) {
         e->standard->end(e);
     }
     ph_embedded_unload(e);
+    free(e->readers);
     free(e->life);
     free(e->folder);
     free(e->memory);
@@ -192,6 +201,32 @@ int ph_embedded_look_now(ph_embedded_unit *e) {
     return status;
 }
 
+/* A value that its function has written. */
+static double number(ph_type type, const void *value) {
+    switch (type) {
+    case PH_INT8:
+        return *(const int8_t *)value;
+    case PH_UINT8:
+        return *(const uint8_t *)value;
+    case PH_INT16:
+        return *(const int16_t *)value;
+    case PH_UINT16:
+        return *(const uint16_t *)value;
+    case PH_INT32:
+        return *(const int32_t *)value;
+    case PH_UINT32:
+        return *(const uint32_t *)value;
+    case PH_INT64:
+        return (double)*(const int64_t *)value;
+    case PH_UINT64:
+        return (double)*(const uint64_t *)value;
+    case PH_FLOAT32:
+        return *(const float *)value;
+    default:
+        return *(const bool *)value;
+    }
+}
+
 /* All that it tells. */
 int ph_embedded_refresh(void *of) {
     ph_embedded_unit *e = of;
@@ -205,6 +240,15 @@ int ph_embedded_refresh(void *of) {
         status = get(e, s);
     for (int i = 0; i < s->n && status == PH_OK; i++)
         to[s->at[i]] = s->value[s->place[i]];
+    for (int i = 0; i < e->about->nother && status == PH_OK; i++) {
+        const ph_typed *other = &e->about->other[i];
+        union {
+            uint64_t room;
+            float single;
+        } value = {0};
+        status = ph_embedded_asked(e, e->standard->get(e, other, e->readers[i], &value));
+        to[s->n + i] = number(other->type, &value);
+    }
     return status;
 }
 

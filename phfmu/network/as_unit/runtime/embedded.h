@@ -24,13 +24,30 @@ enum {
 
 struct ph_embedded_unit;
 
-/* The start of a variable of another type than Float64: the function that sets it, without its prefix, and
- * the value as that takes it. */
+/* Types of values besides Float64. */
+typedef enum ph_type {
+    PH_INT8,
+    PH_UINT8,
+    PH_INT16,
+    PH_UINT16,
+    PH_INT32,
+    PH_UINT32,
+    PH_INT64,
+    PH_UINT64,
+    PH_FLOAT32,
+    PH_BOOLEAN
+} ph_type;
+
+/* A variable of one of these: the function that sets or reads it, without its prefix, and of a start the
+ * value as that takes it. */
 typedef struct ph_typed {
     const char *function;
+    ph_type type;
     unsigned reference;
     const void *value;
 } ph_typed;
+
+typedef void (*ph_reader)(void);
 
 /* The calls of a version; they answer PH_OK, or PH_UNIT with what was answered in the unit. */
 typedef struct ph_standard {
@@ -39,6 +56,8 @@ typedef struct ph_standard {
     int (*begin)(struct ph_embedded_unit *e, const char *name, const char *resources);
     int (*enter)(struct ph_embedded_unit *e, double start); /* Initialization Mode */
     int (*set)(struct ph_embedded_unit *e, const ph_typed *start);
+    int (*find)(struct ph_embedded_unit *e, const ph_typed *told, ph_reader *to); /* what reads it */
+    int (*get)(struct ph_embedded_unit *e, const ph_typed *told, ph_reader by, void *value);
     int (*leave)(struct ph_embedded_unit *e);
     int (*reset)(struct ph_embedded_unit *e);
     void (*end)(struct ph_embedded_unit *e);
@@ -58,7 +77,7 @@ typedef struct ph_embedded_about {
     int no_set_prior;   /* what trials are told as noSetFMUStatePriorToCurrentPoint */
     int tolerance_told; /* whether the tolerance is defined */
     double tolerance;   /* relative, of the experiment */
-    int nu, np, ntyped, nlooked, nwatched;
+    int nu, np, ntyped, nother, nlooked, nwatched;
     ph_scalars input;           /* of nu */
     ph_scalars looked;          /* what steps are booked with: nu outputs, then displacements */
     ph_scalars told;            /* observables */
@@ -67,6 +86,7 @@ typedef struct ph_embedded_about {
     const int *given;           /* np: whether its start is set although nobody changes it */
     const int *late;            /* np: whether it may be set after the start */
     const ph_typed *typed;      /* ntyped: starts that were given */
+    const ph_typed *other;      /* nother: observables behind those told */
     const double *begin;        /* nu: inputs before anyone sets them, inward */
     const int *rate;            /* nu: place of the displacement whose rate the output is, or -1 */
     const int *watched;         /* nwatched: observables that have to be finite */
@@ -86,12 +106,13 @@ typedef struct ph_embedded_unit {
     ph_surroundings around;
     char words[512]; /* its last message */
     ph_report report;
-    int begun;    /* it is initialised under the present parameters */
-    int started;  /* it was initialised */
-    int moved;    /* it has taken a step since `keep` */
-    int lost;     /* a step was refused, and it cannot go back */
-    void *state;  /* where it was, kept by it */
-    void *memory; /* what all pointers below are in */
+    ph_reader *readers; /* nother, owned */
+    int begun;          /* it is initialised under the present parameters */
+    int started;        /* it was initialised */
+    int moved;          /* it has taken a step since `keep` */
+    int lost;           /* a step was refused, and it cannot go back */
+    void *state;        /* where it was, kept by it */
+    void *memory;       /* what all pointers below are in */
     double *values;
     int nvalue; /* of values, which are saved: all below up to supplied */
     double *h;  /* of the last step */

@@ -89,6 +89,20 @@ static int set(ph_embedded_unit *e, const ph_typed *start) {
     return ph_unit_answer(&e->unit, call(e->unit.instance, &start->reference, 1, start->value));
 }
 
+static int find(ph_embedded_unit *e, const ph_typed *told, ph_reader *to) {
+    char name[32];
+    snprintf(name, sizeof(name), "fmi2%s", told->function);
+    return ph_embedded_function(e, name, to, sizeof(*to)) ? PH_OK : PH_UNIT;
+}
+
+static int get(ph_embedded_unit *e, const ph_typed *told, ph_reader by, void *value) {
+    int (*call)(void *, const unsigned *, size_t, void *) =
+        (int (*)(void *, const unsigned *, size_t, void *))by;
+    if (!ph_unit_begin(&e->unit, told->function))
+        return PH_REFUSED;
+    return ph_unit_answer(&e->unit, call(e->unit.instance, &told->reference, 1, value));
+}
+
 static int leave(ph_embedded_unit *e) {
     return ASK(e, ExitInitializationMode, e->unit.instance);
 }
@@ -118,7 +132,7 @@ static int read(ph_embedded_unit *e, const char *bytes, size_t n, void **state) 
 }
 
 const ph_standard *ph_standard_fmi2(void) {
-    static const ph_standard standard = {ph_unit_fmi2, bind, begin,  enter, set,   leave,
-                                         reset,        end,  forget, size,  write, read};
+    static const ph_standard standard = {ph_unit_fmi2, bind,  begin, enter,  set,  find,  get,
+                                         leave,        reset, end,   forget, size, write, read};
     return &standard;
 }
