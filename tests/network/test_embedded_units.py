@@ -281,7 +281,7 @@ def test_the_whole_can_what_all_of_its_members_can(folder: Path, saves: bool, ab
 # -- steps that are refused -------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("mode", "saves", "answer"), [(1, True, 2), (2, True, 2), (1, False, 3)])
+@pytest.mark.parametrize(("mode", "saves", "answer"), [(1, True, 2), (2, True, 2), (3, True, 2), (1, False, 3)])
 def test_a_refused_step_is_told(folder: Path, mode: int, saves: bool, answer: int, capfd: Any) -> None:
     """Discarded, with all members where they were, if they can go back; else an error."""
     units(folder, "2.0", saves=saves)
@@ -293,7 +293,7 @@ def test_a_refused_step_is_told(folder: Path, mode: int, saves: bool, answer: in
         before = unit.get(names)
         with pytest.raises(Exception, match=f"status {answer}"):
             unit.step(0.25, 0.01)
-        if saves:
+        if saves and mode < 3:  # after a fatal error it is not called any more, not even to be freed
             assert unit.get(names) == before
     said = capfd.readouterr().out
     assert "pump: at t = 0.25 s fmi2DoStep was answered with" in said and "valve stuck at 7 %" in said

@@ -166,14 +166,17 @@ static int open(void *of, const ph_surroundings *around) {
     return status;
 }
 
+/* After a fatal error it is not called any more, and what it has stays. */
 static void release(void *of) {
     ph_embedded_unit *e = of;
-    if (e->unit.instance) {
+    const int dead = ph_unit_dead(&e->unit);
+    if (e->unit.instance && !dead) {
         if (e->state)
             e->standard->forget(e, &e->state);
         e->standard->end(e);
     }
-    ph_embedded_unload(e);
+    if (!dead)
+        ph_embedded_unload(e);
     free(e->readers);
     free(e->life);
     free(e->folder);

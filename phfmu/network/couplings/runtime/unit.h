@@ -87,6 +87,7 @@ enum { PH_REFUSED = PH_UNIT };
 /* unit_call.c: around each call. A unit that met a fatal error is not called any more. */
 int ph_unit_begin(ph_unit *u, const char *call);
 int ph_unit_answer(ph_unit *u, int status);
+int ph_unit_dead(const ph_unit *u); /* whether it met a fatal error */
 
 PH_API const ph_version *ph_unit_fmi2(void);
 PH_API const ph_version *ph_unit_fmi3(void);
