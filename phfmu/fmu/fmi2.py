@@ -49,7 +49,7 @@ def model_description(
     """The document; without `token` (attribute, value) it is the text the token is made of.  `sources`: files to compile."""
     root = description.root(unit, number, token)
     interface = etree.SubElement(root, "CoSimulation", modelIdentifier=unit.identifier, needsExecutionTool="false")
-    for name, value in (CAPABILITIES | ({} if unit.derives else UNDERIVED)).items():
+    for name, value in _abilities(unit).items():
         interface.set(name, value)
     if sources:
         files = etree.SubElement(interface, "SourceFiles")
@@ -73,6 +73,14 @@ def model_description(
             unknown.set("dependencies", "")
         etree.SubElement(unknowns, "Unknown", index=place[reference])
     return text_of(root)
+
+
+def _abilities(unit: Unit) -> dict[str, str]:
+    """CAPABILITIES, less what this one has not."""
+    absent = {} if unit.derives else UNDERIVED
+    absent = absent | ({} if unit.saves else {"canGetAndSetFMUstate": "false"})
+    absent = absent | ({} if unit.serialises else {"canSerializeFMUstate": "false"})
+    return CAPABILITIES | absent | ({"canHandleVariableCommunicationStepSize": "false"} if unit.one_step else {})
 
 
 def _variable(parent: Element, reference: int, v: FMUVariable) -> None:

@@ -44,7 +44,7 @@ def model_description(
     del sources
     root = description.root(unit, number, token)
     interface = etree.SubElement(root, "CoSimulation", modelIdentifier=unit.identifier, needsExecutionTool="false")
-    for name, value in (CAPABILITIES | ({} if unit.derives else UNDERIVED)).items():
+    for name, value in _abilities(unit).items():
         interface.set(name, value)
     description.add_units(root, unit)
     description.add_log_categories(root)
@@ -63,6 +63,14 @@ def model_description(
             if tag == "Output" and not any(unit.direct(v) for v in _entries(unit, reference)):
                 unknown.set("dependencies", "")
     return text_of(root)
+
+
+def _abilities(unit: Unit) -> dict[str, str]:
+    """CAPABILITIES, less what this one has not."""
+    absent = {} if unit.derives else UNDERIVED
+    absent = absent | ({} if unit.saves else {"canGetAndSetFMUState": "false"})
+    absent = absent | ({} if unit.serialises else {"canSerializeFMUState": "false"})
+    return CAPABILITIES | absent | ({"canHandleVariableCommunicationStepSize": "false"} if unit.one_step else {})
 
 
 def _entries(unit: Unit, reference: int) -> tuple[FMUVariable, ...]:

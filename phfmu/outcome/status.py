@@ -16,7 +16,7 @@ from phfmu.outcome.limits import LIMITS
 
 
 class Status(Enum):
-    """Outcome of a solve; order and messages are those of `ph_status` in `runtime/phfmu.h`, then those of units."""
+    """Outcome of a solve; order and messages are those of `ph_status` in `runtime/phfmu.h`, then those of couplings."""
 
     OK = "step accepted"
     NO_CONVERGENCE = "Newton's method did not converge"
@@ -28,9 +28,8 @@ class Status(Enum):
     VALUE = "a given value is not finite; it was not taken over"
     NO_SENSITIVITY = "the sensitivity needs a last step of which at most 16 internal steps were halved"
     EVENT = "a state event cannot happen"
-    #: not one of `ph_status`: what only a unit of another tool can answer
     UNIT = "a unit of another tool refused a call"
-    #: nor this: what a coupling of members finds
+    #: not one of `ph_status`: what a coupling of members finds
     GROWTH = "the energy of the members grows without bound"
 
 

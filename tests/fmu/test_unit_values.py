@@ -91,7 +91,7 @@ def test_units_of_single_precision_and_sizes_of_arrays_are_told(
 @pytest.mark.parametrize(
     ("line", "said"),
     [
-        ("export alone.py", "a unit holds no FMU, as pump would be; --ssp writes a package"),
+        ("export alone.py", "one model holds no FMU, as pump would be; --as-unit keeps"),
         ("run alone.py --dense 2", "or put declarations in the place of pump: an FMU cannot be composed"),
     ],
 )

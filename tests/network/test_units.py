@@ -402,7 +402,7 @@ def test_info_and_check_know_scenes_with_units(folder: Path, capsys: pytest.Capt
     assert main(["check", str(path)]) == 1
     assert "cart: " in (said := capsys.readouterr().out) and "-2" in said
     assert main(["export", str(path)]) == 2
-    assert "a unit holds no FMU, as pump would be; --ssp writes" in capsys.readouterr().err
+    assert "one model holds no FMU, as pump would be; --as-unit keeps" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("stiffness", ["1e4", "1e6"])

@@ -94,8 +94,8 @@ def call(args: argparse.Namespace) -> int:
         return export_apart(args, s)
     if s.units:
         raise ValueError(
-            f"{args.target}: a unit holds no FMU, as {', '.join(s.units)} would be; --ssp writes a package of all members, or "
-            "put declarations in their place"
+            f"{args.target}: one model holds no FMU, as {', '.join(s.units)} would be; --as-unit keeps the members apart in a "
+            "unit, --ssp writes a package of all, or put declarations in their place"
         )
     given = settings(args.set)
     events, notes = started(s.events, given, s.declaration().settable_names())
@@ -132,27 +132,34 @@ def export_apart(args: argparse.Namespace, s: Scene) -> int:
     from phfmu.cli.timeline import started
     from phfmu.fmu.export.export import PLATFORMS
     from phfmu.fmu.version import VERSIONS
-    from phfmu.network.as_unit.export import export_network
+    from phfmu.network.as_unit.export import export_network, untold_of
     from phfmu.network.couplings.coupling_table import NEWTON
+    from phfmu.network.couplings.gathered import composed_members, gathered
     from phfmu.network.network import Network
+    from phfmu.signals import of_member
     from phfmu.ssp.export import network_of
+    from phfmu.words import first_few
 
     if odd := [n for n, on in {"--node-inputs": args.node_inputs, "--impulses": args.impulses}.items() if on]:
         raise ValueError(f"--as-unit and {odd[0]} do not go together: inputs of the whole are held over a step")
     if not isinstance(s.system, Network):
         raise ValueError(f"{args.target} has no members to keep apart; leave out --as-unit")
     given = settings(args.set)
-    declared = network_of(s).declared
-    known = [f"{m}.{n}" for m, d in declared.items() for n in d.settable_names()]
+    known = [f"{m}.{n}" for m, d in network_of(s).members.items() for n in d.settable_names()]
     events, notes = started(s.events, given, known)
     begun = {e.name: e.value for e in events if e.t <= 0.0}
     s = replace(s, system=with_settings(with_settings(s.system, begun), given))
     require_sound_scene(args, s)
     network, events = network_of(s), [e for e in events if e.t > 0.0]
-    parameters = {f"{m}.{n}" for m, d in network.declared.items() for v in d.parameters for n in (v.name, *v.names())}
+    if not args.sequence:  # as a run does
+        network = gathered(network)
+    own = [(m, n) for m, d in network.declared.items() for v in d.parameters for n in (v.name, *v.names())]
+    parameters = {of_member(m, n) for m, n in own}
     changed = [n for n in dict.fromkeys(e.name for e in events) if n in parameters]
     inside, left_out = _told(args, events, changed)
     left_out += [f"{s.restart} damping steps after each event"] if s.restart else []
+    if one := composed_members(network):
+        notes = [*notes, f"composed to one member: {first_few(one)}, as in a run"]
     asked = {_short(n): n for n in VERSIONS}
     paths = export_network(
         network, args.output, {n: scheme_of(args, d, member=True) for n, d in network.declared.items()},
@@ -162,7 +169,7 @@ def export_apart(args: argparse.Namespace, s: Scene) -> int:
         tunable=[*args.tunable, *changed], events=inside, coupling=args.coupling or NEWTON.name,
         sequence=args.sequence and [name.strip() for name in args.sequence.split(",")],
     )  # fmt: skip
-    return _said(notes, left_out, paths)
+    return _said(notes, [*left_out, *untold_of(network)], paths)
 
 
 def _require_coupling(args: argparse.Namespace) -> None:

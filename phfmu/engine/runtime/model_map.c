@@ -108,8 +108,9 @@ static size_t state_size(const void *of) {
     return ph_state_size(of);
 }
 
-static void save(const void *of, void *out) {
+static int save(void *of, void *out) {
     ph_save(of, out);
+    return PH_OK;
 }
 
 static int load(void *of, const void *from) {

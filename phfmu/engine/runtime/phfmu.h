@@ -29,7 +29,8 @@
     X(PH_ARGUMENT, "an argument is out of range")                                                            \
     X(PH_VALUE, "a given value is not finite; it was not taken over")                                        \
     X(PH_NO_SENSITIVITY, "the sensitivity needs a last step of which at most 16 internal steps were halved") \
-    X(PH_EVENT, "a state event cannot happen")
+    X(PH_EVENT, "a state event cannot happen")                                                               \
+    X(PH_UNIT, "a unit of another tool refused a call")
 
 #define PH_STATUS_NAME(name, text) name,
 typedef enum ph_status { PH_STATUS_LIST(PH_STATUS_NAME) PH_NSTATUS } ph_status;

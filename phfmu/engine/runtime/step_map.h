@@ -22,13 +22,22 @@ typedef struct ph_sizes {
     const double *weights; /* k */
 } ph_sizes;
 
+/* Where the files of a unit are, and who hears why a call was refused. */
+typedef struct ph_surroundings {
+    const char *resources; /* its folder, a path or an URI; NULL: nobody has told */
+    const char *name;      /* of the instance */
+    void (*say)(void *with, const char *text);
+    void *with;
+} ph_surroundings;
+
 /* As the functions of phfmu.h of these names; `about`: what is constant of the map, a ph_model or a
- * ph_network. */
+ * ph_network, or a unit of another tool. A saved state is zero before the first `save` into it. */
 typedef struct ph_step_map {
     void (*sizes)(const void *about, ph_sizes *sizes);
     size_t (*size)(const void *about);
     int (*init)(void *memory, const void *about);
-    void (*release)(void *of); /* what init has allocated besides; NULL: nothing */
+    int (*open)(void *of, const ph_surroundings *around); /* before anything else; NULL: it needs no files */
+    void (*release)(void *of);                            /* what init has allocated besides; NULL: nothing */
     int (*reset)(void *of);
     int (*initialise)(void *of);
     int (*refresh)(void *of);
@@ -52,9 +61,17 @@ typedef struct ph_step_map {
     void (*keep)(const void *of, double *kept);
     void (*join)(void *of, const double *kept, double part);
     size_t (*state_size)(const void *of);
-    void (*save)(const void *of, void *out);
+    int (*save)(void *of, void *out);
     int (*load)(void *of, const void *from);
     const char *(*state_fault)(const void *of, const void *from);
+    int (*returns)(
+        const void *about); /* whether states are saved, and refused steps taken back; NULL: they are */
+    /* What a saved state holds besides its bytes; NULL: nothing. It is freed; how many bytes it becomes;
+     * these, after which `state` holds none; it is made of n bytes. `state`: a copy in the last two. */
+    void (*forget)(void *of, void *state);
+    int (*held_size)(void *of, void *state, size_t *n);
+    int (*write_held)(void *of, void *state, char *bytes);
+    int (*read_held)(void *of, void *state, const char *bytes, size_t n);
     const double *(*joined)(const void *of); /* what only the whole tells: values at its junctions, or NULL */
 } ph_step_map;
 

@@ -97,6 +97,25 @@ class Unit:
         """C files that are generated for it where it is more than one model: name -> text."""
         return {}
 
+    def resources(self, platforms: Sequence[str]) -> dict[str, bytes]:
+        """Files that stand below resources/: name there -> content."""
+        del platforms
+        return {}
+
+    @property
+    def saves(self) -> bool:
+        """Whether its state can be saved and restored; `serialises`: and become bytes."""
+        return True
+
+    @property
+    def serialises(self) -> bool:
+        return True
+
+    @property
+    def one_step(self) -> bool:
+        """Whether all of its steps have to be equal."""
+        return False
+
     def drivers(self) -> dict[str, Path]:
         """Files of what drives the steps of its models, if it has such."""
         return {}

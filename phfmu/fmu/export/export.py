@@ -80,11 +80,13 @@ def written(unit: Unit, directory: str | Path, rows: Sequence[Version], platform
     equations = sources.generated(unit)
     token = sources.token(unit, equations)
     code = sources.complete(unit, equations, token)
-    libraries = _libraries(code, [host_platform()] if platforms is None else platforms)
+    asked = [host_platform()] if platforms is None else platforms
+    libraries, beside = _libraries(code, asked), unit.resources(asked)
     paths = []
     for version in rows:
         path = Path(directory) / f"{unit.identifier}_{version.prefix}.fmu"
-        package.write(path, _files(unit, version, token, code, libraries))
+        inside = {f"resources/{n}": data for n, data in beside.items()}
+        package.write(path, _files(unit, version, token, code, libraries) | inside)
         paths.append(path)
     return paths
 

@@ -132,8 +132,13 @@ def _written(q: Quantity, limit: Limit | None) -> FMUVariable:
     )
 
 
+def writable_name(name: str) -> bool:
+    """Whether it is a structured name of the standard, which a unit can have."""
+    return bool(_NAME.fullmatch(name))
+
+
 def _problems(table: tuple[FMUVariable, ...]) -> list[str]:
-    found = [f"'{v.name}' is no structured name (write e.g. gen.I[1])" for v in table if not _NAME.fullmatch(v.name)]
+    found = [f"'{v.name}' is no structured name (write e.g. gen.I[1])" for v in table if not writable_name(v.name)]
     seen: set[str] = set()
     for v in table:
         if v.name in seen:

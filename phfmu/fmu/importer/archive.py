@@ -8,7 +8,7 @@ import tempfile
 import zipfile
 import zlib
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
@@ -57,14 +57,18 @@ class Archive:
         parts = [PurePosixPath(n).parts for n in self._names]
         self.platforms = tuple(sorted({plain(p[1], 50) for p in parts if p[0] == "binaries" and len(p) > 2}))
 
+    def library_for(self, platform: str, extension: str) -> str | None:
+        """Name inside of the library for a platform, whose libraries end with `extension`; None if there is none."""
+        folders = VERSIONS[self.interface.version].folders_of(platform)
+        names = (f"binaries/{folder}/{self.interface.identifier}{extension}" for folder in folders)
+        return next((n for n in names if n in self._names), None)
+
     @cached_property
     def library(self) -> str:
         """Name inside of the library for this machine; FMUError names the platforms there are."""
+        if name := self.library_for(fmpy.platform_tuple, fmpy.sharedLibraryExtension):
+            return name
         folders = VERSIONS[self.interface.version].folders_of(fmpy.platform_tuple)
-        for folder in folders:
-            name = f"binaries/{folder}/{self.interface.identifier}{fmpy.sharedLibraryExtension}"
-            if name in self._names:
-                return name
         self._require_named(folders)
         there = f"the archive has {', '.join(self.platforms) or 'none'}"
         remedy = "Export it with this platform" + (", or run it on one of those" if self.platforms else "")
@@ -90,6 +94,12 @@ class Archive:
             return None
         with opened(self.path) as archive:
             return document(archive, TERMINALS, self.path)
+
+    def contents(self, binaries: Collection[str]) -> dict[str, bytes]:
+        """All files by their names, of those of `binaries/` those of these folders."""
+        kept = [n for n in sorted(self._names) if not n.startswith("binaries/") or n.rpartition("/")[0] in binaries]
+        with opened(self.path) as archive:
+            return {n: archive.read(n) for n in kept}
 
     @cached_property
     def folder(self) -> Path:

@@ -30,14 +30,13 @@ static void sink(const fmu *f, int status, const char *category, const char *tex
 fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2String fmuGUID,
                               fmi2String fmuResourceLocation, const fmi2CallbackFunctions *functions,
                               fmi2Boolean visible, fmi2Boolean loggingOn) {
-    (void)fmuResourceLocation;
     (void)visible;
     if (fmuType != fmi2CoSimulation || !functions)
         return NULL;
     /* here loggingOn is about messages for debugging; why a call was refused is told until somebody objects
      */
-    return fmu_create(instanceName, fmuGUID, loggingOn ? FMU_LOG_ALL : FMU_LOG_ERRORS, sink,
-                      (void (*)(void))functions->logger, functions->componentEnvironment);
+    return fmu_create(instanceName, fmuGUID, fmuResourceLocation, loggingOn ? FMU_LOG_ALL : FMU_LOG_ERRORS,
+                      sink, (void (*)(void))functions->logger, functions->componentEnvironment);
 }
 
 void fmi2FreeInstance(fmi2Component c) {
@@ -93,11 +92,7 @@ fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *FMUstate) {
 }
 
 fmi2Status fmi2SerializedFMUstateSize(fmi2Component c, fmi2FMUstate FMUstate, size_t *size) {
-    (void)FMUstate;
-    if (!c || fmu_given(c, __func__, size != NULL))
-        return fmi2Error;
-    *size = fmu_state_size(c);
-    return fmi2OK;
+    return STATUS(fmu_written_size(c, __func__, FMUstate, size));
 }
 
 fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate FMUstate, fmi2Byte serializedState[],

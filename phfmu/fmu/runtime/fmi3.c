@@ -59,11 +59,10 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String instanceName, fmi3String ins
                                          fmi3LogMessageCallback logMessage,
                                          fmi3IntermediateUpdateCallback intermediateUpdate) {
     fmu *f;
-    (void)resourcePath;
     (void)visible;
     (void)requiredIntermediateVariables;
     (void)intermediateUpdate;
-    f = fmu_create(instanceName, instantiationToken, loggingOn ? FMU_LOG_ALL : 0, sink,
+    f = fmu_create(instanceName, instantiationToken, resourcePath, loggingOn ? FMU_LOG_ALL : 0, sink,
                    (void (*)(void))logMessage, instanceEnvironment);
     if (f)
         f->early = earlyReturnAllowed;
@@ -134,11 +133,7 @@ fmi3Status fmi3FreeFMUState(fmi3Instance instance, fmi3FMUState *FMUState) {
 }
 
 fmi3Status fmi3SerializedFMUStateSize(fmi3Instance instance, fmi3FMUState FMUState, size_t *size) {
-    (void)FMUState;
-    if (!instance || fmu_given(instance, __func__, size != NULL))
-        return fmi3Error;
-    *size = fmu_state_size(instance);
-    return fmi3OK;
+    return STATUS(fmu_written_size(instance, __func__, FMUState, size));
 }
 
 fmi3Status fmi3SerializeFMUState(fmi3Instance instance, fmi3FMUState FMUState, fmi3Byte serializedState[],

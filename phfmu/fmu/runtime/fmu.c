@@ -158,6 +158,8 @@ static int refuse_step(fmu *f, const char *function, double t, double h, int n, 
     const ph_report why = *f->map->report(f->of);
     const fmu_equations *rows = fmu_refusing(f);
     const double part = h * why.solved / n;
+    if (f->map->returns && !f->map->returns(f->about->of))
+        return fmu_step_refused(f, function, FMU_ERROR, &why, rows);
     if (f->early && early && why.solved > 0 && fmu_held(f, f->map->input(f->of)) && !fmu_kicked(f) &&
         f->map->step_parts(f->of, t, part, why.solved) == PH_OK) {
         *early = 1;
@@ -185,7 +187,7 @@ static int solve_step(fmu *f, const char *function, double t, double h, int n, i
         status = step_parts(f, t, h, n);
     if (status == PH_ARGUMENT)
         return fmu_solver(f, function, status);
-    return status && refuse_step(f, function, t, h, n, early) ? FMU_DISCARD : FMU_OK;
+    return status ? refuse_step(f, function, t, h, n, early) : FMU_OK;
 }
 
 /* What a step from here depends on: states, inputs, parameters, impulses. */

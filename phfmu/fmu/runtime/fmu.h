@@ -229,9 +229,10 @@ int fmu_step_refused(const fmu *f, const char *what, int answer, const ph_report
 /* The equations of what refused the last step. */
 const fmu_equations *fmu_refusing(const fmu *f);
 
-/* fmu.c. NULL if the token is another model's or there is no memory. */
-fmu *fmu_create(const char *name, const char *token, int logging, fmu_sink sink, void (*callback)(void),
-                void *environment);
+/* fmu.c. NULL if the token is another model's, there is no memory, or a unit inside does not start;
+ * resources: their folder, a path or an URI. */
+fmu *fmu_create(const char *name, const char *token, const char *resources, int logging, fmu_sink sink,
+                void (*callback)(void), void *environment);
 void fmu_free(fmu *f);
 int fmu_setup(fmu *f, const char *function, double start, int stop_defined, double stop);
 int fmu_enter(fmu *f, const char *function);
@@ -295,7 +296,8 @@ int fmu_forget(fmu *f, void **state);
 size_t fmu_state_size(const fmu *f);
 #define FMU_HASHED 14695981039346656037ULL                                         /* of nothing */
 unsigned long long fmu_hash(unsigned long long hash, const void *bytes, size_t n); /* FNV-1a */
-int fmu_write(fmu *f, const char *function, const void *state, void *bytes, size_t size);
+int fmu_written_size(fmu *f, const char *function, void *state, size_t *size);
+int fmu_write(fmu *f, const char *function, void *state, void *bytes, size_t size);
 int fmu_read(fmu *f, const char *function, const void *bytes, size_t size, void **state);
 
 #endif

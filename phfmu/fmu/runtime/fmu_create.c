@@ -49,10 +49,16 @@ static fmu *allocate(const fmu_interface *about, const char *name) {
     return f;
 }
 
-fmu *fmu_create(const char *name, const char *token, int logging, fmu_sink sink, void (*callback)(void),
-                void *environment) {
+/* What a part of the map says of a call that it refuses. */
+static void say(void *with, const char *text) {
+    fmu_refuse(with, "%s", text);
+}
+
+fmu *fmu_create(const char *name, const char *token, const char *resources, int logging, fmu_sink sink,
+                void (*callback)(void), void *environment) {
     const fmu_interface *about = &fmu_the_interface;
     fmu nobody = {.logging = logging, .sink = sink, .callback = callback, .environment = environment};
+    ph_surroundings around;
     fmu *f;
     nobody.name = name ? (char *)name : "";
     if (!*nobody.name) {
@@ -77,7 +83,8 @@ fmu *fmu_create(const char *name, const char *token, int logging, fmu_sink sink,
     f->environment = environment;
     f->phase.mode = FMU_INSTANTIATED;
     ph_places(&f->sizes, f->offset);
-    if (fmu_events_create(f)) {
+    around = (ph_surroundings){resources, f->name, say, f};
+    if ((f->map->open && f->map->open(f->of, &around)) || fmu_events_create(f)) {
         fmu_free(f);
         return NULL;
     }
@@ -86,10 +93,10 @@ fmu *fmu_create(const char *name, const char *token, int logging, fmu_sink sink,
 
 void fmu_free(fmu *f) {
     if (f) {
+        fmu_events_free(f);
         if (f->map->release)
             f->map->release(f->of);
         free(f->nodes.memory);
-        fmu_events_free(f);
     }
     free(f);
 }

@@ -22,7 +22,7 @@ void fmu_events_free(fmu *f) {
     if (f->about->landing)
         f->about->landing->release(f);
     free(f->kept);
-    free(f->before);
+    fmu_forget(f, &f->before);
 }
 
 /* The time of the next event, infinite for none. */

@@ -91,6 +91,9 @@ const fmu_equations *fmu_refusing(const fmu *f) {
 int fmu_step_refused(const fmu *f, const char *what, int answer, const ph_report *r, const fmu_equations *e) {
     const char *const *names = r->instant ? e->instant : e->step;
     const int place = r->row >= 0 ? r->row : r->column, n = r->instant ? e->ninstant : e->nstep;
+    if (r->status == PH_UNIT) /* it has told why */
+        return fmu_say(f, answer, FMU_LOG_ERRORS, "%s: %s: %s in [%.9g s, %.9g s]", what, e->member,
+                       ph_status_text(r->status), r->time, r->time + r->h);
     return fmu_say(
         f, answer, answer == FMU_OK ? FMU_LOG_HALVED : FMU_LOG_ERRORS,
         "%s%s: %s. Worst: %s%s%s, scaled residual %.3g (rounding floor %.2g), last update %.3g after %d "

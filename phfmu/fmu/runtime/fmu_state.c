@@ -49,11 +49,15 @@ static size_t model_size(const fmu *f) {
     return switches(f) ? switches(f)->state_size(f) : f->map->state_size(f->of);
 }
 
-static void save_model(const fmu *f, void *out) {
-    if (switches(f))
-        switches(f)->save(f, out);
-    else
-        f->map->save(f->of, out);
+static int save_model(const fmu *f, void *out) {
+    if (!switches(f))
+        return f->map->save(f->of, out);
+    switches(f)->save(f, out);
+    return PH_OK;
+}
+
+static char *model_in(const fmu *f, void *state) {
+    return (char *)state + sizeof(saved) + books_size(f) + impulses_size(f);
 }
 
 size_t fmu_state_size(const fmu *f) {
@@ -67,8 +71,10 @@ int fmu_save(fmu *f, const char *function, void **state) {
     int n;
     if (fmu_allow(f, function, FMU_ANY) || fmu_given(f, function, state != NULL))
         return FMU_ERROR;
+    if (f->map->returns && !f->map->returns(f->about->of) && f->phase.mode != FMU_INSTANTIATED)
+        return fmu_refuse(f, "%s: a unit inside cannot save its state", function);
     if (!*state)
-        *state = malloc(fmu_state_size(f));
+        *state = calloc(1, fmu_state_size(f));
     if (!*state)
         return fmu_refuse(f, "%s: no memory for a state (%zu bytes)", function, fmu_state_size(f));
     to = *state;
@@ -81,8 +87,9 @@ int fmu_save(fmu *f, const char *function, void **state) {
     s = fmu_impulse_values(f, &n);
     if (n > 0)
         memcpy(place, s, impulses_size(f));
-    save_model(f, place + impulses_size(f));
-    return FMU_OK;
+    return save_model(f, place + impulses_size(f))
+               ? fmu_refuse(f, "%s: %s", function, ph_status_text(PH_UNIT))
+               : FMU_OK;
 }
 
 static int check(const fmu *f, const char *function, const saved *from) {
@@ -123,21 +130,39 @@ int fmu_forget(fmu *f, void **state) {
     if (!f)
         return FMU_ERROR;
     if (state) {
+        if (*state && f->map->forget)
+            f->map->forget(f->of, model_in(f, *state));
         free(*state);
         *state = NULL;
     }
     return FMU_OK;
 }
 
-int fmu_write(fmu *f, const char *function, const void *state, void *bytes, size_t size) {
-    saved head;
-    if (fmu_allow(f, function, FMU_ANY) || fmu_given(f, function, state && bytes))
+/* With what units inside keep of it, which stands behind it. */
+int fmu_written_size(fmu *f, const char *function, void *state, size_t *size) {
+    size_t held = 0;
+    if (fmu_allow(f, function, FMU_ANY) || fmu_given(f, function, size != NULL))
         return FMU_ERROR;
-    if (size < fmu_state_size(f))
-        return fmu_refuse(f, "%s: %zu bytes given, the state has %zu", function, size, fmu_state_size(f));
-    memcpy(&head, state, sizeof(head));
-    head.sum = sum_of(state, fmu_state_size(f));
-    memcpy(bytes, state, fmu_state_size(f));
+    if (state && f->map->held_size && f->map->held_size(f->of, model_in(f, state), &held))
+        return fmu_refuse(f, "%s: %s", function, ph_status_text(PH_UNIT));
+    *size = fmu_state_size(f) + held;
+    return FMU_OK;
+}
+
+int fmu_write(fmu *f, const char *function, void *state, void *bytes, size_t size) {
+    const size_t own = f ? fmu_state_size(f) : 0;
+    saved head;
+    size_t all;
+    if (fmu_allow(f, function, FMU_ANY) || fmu_given(f, function, state && bytes) ||
+        fmu_written_size(f, function, state, &all))
+        return FMU_ERROR;
+    if (size < all)
+        return fmu_refuse(f, "%s: %zu bytes given, the state has %zu", function, size, all);
+    memcpy(bytes, state, own);
+    if (f->map->write_held && f->map->write_held(f->of, model_in(f, bytes), (char *)bytes + own))
+        return fmu_refuse(f, "%s: %s", function, ph_status_text(PH_UNIT));
+    memcpy(&head, bytes, sizeof(head));
+    head.sum = sum_of(bytes, all);
     memcpy(bytes, &head, sizeof(head));
     return FMU_OK;
 }
@@ -175,38 +200,44 @@ static const char *fault(const fmu *f, const saved *from) {
 }
 
 /* What was checked into *state, which is reused if there is one. */
-static void hand_over(void *checked, size_t size, void **state) {
+static void hand_over(const fmu *f, void *checked, size_t size, void **state) {
     if (!*state) {
         *state = checked;
         return;
     }
+    if (f->map->forget)
+        f->map->forget(f->of, model_in(f, *state));
     memcpy(*state, checked, size);
     free(checked);
 }
 
 int fmu_read(fmu *f, const char *function, const void *bytes, size_t size, void **state) {
+    const size_t own = f ? fmu_state_size(f) : 0;
     saved head, *copy;
     const char *wrong;
     if (fmu_allow(f, function, FMU_ANY) || fmu_given(f, function, state && bytes))
         return FMU_ERROR;
-    if (size != fmu_state_size(f))
-        return fmu_refuse(f, "%s: %zu bytes given, the state has %zu", function, size, fmu_state_size(f));
+    if (size < own || (size > own && !f->map->read_held))
+        return fmu_refuse(f, "%s: %zu bytes given, the state has %zu", function, size, own);
     memcpy(&head, bytes, sizeof(head));
     if (check(f, function, &head))
         return FMU_ERROR;
     if (head.sum != sum_of(bytes, size))
         return fmu_refuse(f, "%s: the state is damaged, its checksum does not fit", function);
-    copy = malloc(size);
+    copy = malloc(own);
     if (!copy)
-        return fmu_refuse(f, "%s: no memory for a state (%zu bytes)", function, size);
+        return fmu_refuse(f, "%s: no memory for a state (%zu bytes)", function, own);
     head.sum = 0;
-    memcpy(copy, bytes, size);
+    memcpy(copy, bytes, own);
     memcpy(copy, &head, sizeof(head));
     wrong = fault(f, copy);
+    if (!wrong && f->map->read_held &&
+        f->map->read_held(f->of, model_in(f, copy), (const char *)bytes + own, size - own))
+        wrong = "a unit inside refuses its part";
     if (wrong) {
         free(copy);
         return fmu_refuse(f, "%s: the state is none that this unit wrote: %s", function, wrong);
     }
-    hand_over(copy, size, state);
+    hand_over(f, copy, own, state);
     return FMU_OK;
 }

@@ -18,9 +18,11 @@ from phfmu.engine.build.tables import ARRAYS, array_text, c_text
 from phfmu.engine.impulses import port_kernels
 from phfmu.engine.model import kernels
 from phfmu.fmu.xml import number
+from phfmu.network.as_unit.embedded import Embedded
 from phfmu.network.couplings.compiled.master import Master
-from phfmu.network.couplings.compiled.master_library import HEADER
+from phfmu.network.couplings.compiled.master_library import HEADER, START_TRIALS
 from phfmu.network.couplings.coupled import Coupled
+from phfmu.network.members.engine_member import EngineMember
 
 #: solver of the master -> its files besides those of Newton's
 SOLVER_FILES = {
@@ -63,12 +65,15 @@ class Tables:
         return "{" + ", ".join(members) + "}", rooms
 
 
-def network_files(whole: Coupled, master: Master, models: Sequence[Model], step: float) -> dict[str, str]:
+def network_files(whole: Coupled, master: Master, members: Sequence[Model | Embedded], step: float) -> dict[str, str]:
     """kernels, tangents, models and ports of all members, and network.c: file name -> text; alike members share theirs."""
+    models = {i: m for i, m in enumerate(members) if not isinstance(m, Embedded)}
     kicked = [native["kicks"] is not None for native in _filled(master, "ph_native")]
-    ports = [port_kernels(m.declaration) if k else None for m, k in zip(models, kicked, strict=True)]
+    ports = dict.fromkeys(range(len(members)), None) | {
+        i: port_kernels(m.declaration) if k else None for (i, m), k in zip(models.items(), kicked, strict=True)
+    }
     files, groups = dict[str, str](), dict[Any, list[int]]()
-    for i, model in enumerate(models):
+    for i, model in models.items():
         own = None if model.step.schur is None else i  # its solver is compiled for it alone
         groups.setdefault((Kernels(kernels(model)).token, own), []).append(i)
     for first, *_ in (numbers := list(groups.values())):
@@ -81,31 +86,37 @@ def network_files(whole: Coupled, master: Master, models: Sequence[Model], step:
             tangents = f"ph_tangents{first}" if models[i].step.nu else "0"
             files[f"member{i}.c"] = c_text(models[i], table.index, f"ph_member{i}", tangents, f"ph_code{first}")
     made: dict[int, int] = {}
-    for i, k in enumerate(ports):
+    for i, k in ports.items():
         if k is not None and made.setdefault(id(k), i) == i:
             files[f"ports{i}.c"] = port_text(k, f"ph_ports{i}")
-    places = [None if k is None else made[id(k)] for k in ports]
-    return files | {"network.c": _network_text(whole, master, places, step)}
+    places = [None if ports[i] is None else made[id(ports[i])] for i in range(len(members))]
+    return files | {"network.c": _network_text(whole, master, members, places, step)}
 
 
 def _filled(master: Master, kind: str) -> list[Mapping[str, Any]]:
     return [values for name, values in master.memory.filled if name == kind]
 
 
-def _network_text(whole: Coupled, master: Master, ports: Sequence[int | None], step: float) -> str:
+def _network_text(
+    whole: Coupled, master: Master, members: Sequence[Model | Embedded], ports: Sequence[int | None], step: float
+) -> str:
     tables, rows = Tables(), []
     externs = ""
-    shares, natives = _filled(master, "ph_share"), _filled(master, "ph_native")
-    for i, (share, native, port) in enumerate(zip(shares, natives, ports, strict=True)):
+    shares, natives = _filled(master, "ph_share"), iter(_filled(master, "ph_native"))
+    for i, (share, member, port) in enumerate(zip(shares, members, ports, strict=True)):
         length = np.zeros(share["length"])
         s, own = tables.struct("ph_share", f"share{i}", {**share, "record": length})
-        n, more = tables.struct("ph_native", f"native{i}", native)
+        if isinstance(member, Embedded):
+            more, what = list[str](), f".unit = &embedded{i}"
+            tables.arrays.append(member.text(f"embedded{i}"))
+        else:
+            n, more = tables.struct("ph_native", f"native{i}", next(natives))
+            what = f".model = &ph_member{i}, .ports = {'0' if port is None else f'&ph_ports{port}'}, .native = {n}"
+            externs += f"extern const ph_model ph_member{i};\n"
+            externs += "" if port is None else f"extern const ph_ports ph_ports{port};\n"
         tables.arrays.append(_rooms(f"rooms{i}", [*own, *more]))
-        externs += f"extern const ph_model ph_member{i};\n"
-        externs += "" if port is None else f"extern const ph_ports ph_ports{port};\n"
         rows.append(
-            f"    {{.model = &ph_member{i}, .ports = {'0' if port is None else f'&ph_ports{port}'},\n"
-            f"     .share = {s},\n     .native = {n},\n"
+            f"    {{{what},\n     .share = {s},\n"
             f"     .held = {int(master.found.parts[i].held)}, .nroom = {len(own)}, .nnative = {len(more)}, .rooms = rooms{i}}},\n"
         )
     (values,) = _filled(master, "ph_master")
@@ -128,7 +139,7 @@ def _network_text(whole: Coupled, master: Master, ports: Sequence[int | None], s
 /* Generated. The members of {len(rows)} models, and how they are coupled. */
 #include <math.h>
 
-#include "network.h"
+#include "{"embedded.h" if any(isinstance(m, Embedded) for m in members) else "network.h"}"
 {"".join(f'#include "{name}"' + chr(10) for name in SOLVER_FILES[master.solver] if name.endswith(".h"))}
 {externs}
 {"".join(tables.arrays)}
@@ -147,6 +158,7 @@ const ph_network ph_the_network = {{
     .signals = {len(whole.joined.face.names)},
     .room = {tables.room},
     .step = {number(step)},
+    .trials = {START_TRIALS if whole.from_short_steps else 1},
 {given}    .njunction = {len(first) - 1},
 }};
 """
@@ -175,8 +187,8 @@ def junction_pairs(whole: Coupled) -> tuple[list[int], list[int]]:
     first, at = dict[str, int](), 0
     for m in joined.members:
         first[m.name] = at
-        at += m.model.step.nq  # type: ignore[attr-defined]  # members of engines
-    places = {m.name: m.places for m in joined.members}  # type: ignore[attr-defined]
+        at += m.model.step.nq if isinstance(m, EngineMember) else m.nu
+    places = {m.name: m.places for m in joined.members}
     starts, pairs = [0], list[int]()
     for j in joined.network.junctions:
         for e in j.ends:

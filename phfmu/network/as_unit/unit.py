@@ -16,16 +16,21 @@ from typing import Any
 import casadi as ca
 
 from phfmu.declare.parameter_limits import limits
+from phfmu.declare.phdae import PHDAE
 from phfmu.discretise.model import Model
 from phfmu.engine.native.library import driver_sources
 from phfmu.fmu.export.description import Unit
 from phfmu.fmu.export.outward import require_ports, turned
 from phfmu.fmu.export.schedule import fed_inside
 from phfmu.fmu.export.variables import FMUError, FMUVariable, listed
+from phfmu.network.as_unit.embedded import Embedded
 from phfmu.network.as_unit.text import SOLVER_FILES, network_files
 from phfmu.network.couplings.compiled.master import Master
 from phfmu.network.couplings.coupled import Coupled
+from phfmu.network.couplings.gathered import COMPOSED
 from phfmu.network.couplings.named import Named
+from phfmu.network.members.fmu_member import FMUMember
+from phfmu.network.members.rollback import Rollback
 from phfmu.network.network import Network
 from phfmu.schemes.scheme import Scheme
 from phfmu.signals import (
@@ -41,8 +46,10 @@ from phfmu.signals import (
     total,
 )
 
-#: of the master, what a unit of coupled members has not: threads, units as members
-OTHER_MASTERS = ("crew.c", "unit.c", "unit.h", "unit_call.c", "unit_fmi2.c", "unit_fmi3.c")
+#: of the master, what a unit of coupled members has not: threads, units of this package as members
+OTHER_MASTERS = ("crew.c", "unit.c")
+#: and what it has where units of other tools are in it
+CALLS = ("unit.h", "unit_call.c", "unit_fmi2.c", "unit_fmi3.c")
 #: blocks of a model -> what of a plan is as long; others are as long as there are components
 _LENGTHS = {
     "x": "nx", "a": "na", "a_end": "na", "y_step": "nq", "y_end": "nq", "energy": "nq", "row_pairs": "nq", "parameter": "np",
@@ -50,15 +57,19 @@ _LENGTHS = {
 }  # fmt: skip
 
 
+#: what the whole tells of all members, also where one that is composed of several has no name
+_TOTALS = {total(name) for name, _, _ in (*LEDGER, *STEP_LEDGER)}
+
+
 @dataclass(frozen=True, eq=False)
 class NetworkUnit(Unit):
-    """`whole`: the members, native ones, and their coupling; `models`: of the members, in their order.
+    """`whole`: the members and their coupling; `models`: of the members, in their order, or what stands for a unit inside.
 
     `model` is what is said of the whole where a unit of one model says it of that.  FMUError for what no unit can be.
     """
 
     whole: Coupled = None  # type: ignore[assignment]
-    models: tuple[Model, ...] = ()
+    models: tuple[Model | Embedded, ...] = ()
 
     derives = False
     about = "ph_network", "ph_the_network", "ph_map_network"
@@ -71,11 +82,14 @@ class NetworkUnit(Unit):
     def master(self) -> Master:
         """The compiled master, whose tables the unit has."""
         found = self.whole.master
-        if found.calls or self.whole.signals_held:
-            raise FMUError(
-                f"{self.name}: its members are not all stepped by the compiled master, or exchange signals that are held over "
-                "a step; take --coupling newton, which exchanges them at nodes, or export it composed, without --as-unit"
+        if self.whole.signals_held:
+            what = "take --coupling newton, which exchanges them at nodes, or export it composed, without --as-unit"
+            what = (
+                "units inside take none at nodes: join them at ports, or write a package of all (--ssp)"
+                if self.units
+                else what
             )
+            raise FMUError(f"{self.name}: its members exchange signals that are held over a step; {what}")
         if found.solver not in SOLVER_FILES:
             raise FMUError(
                 f"{self.name}: its coupling, {type(self.whole.coupling).__name__}, is a rule in Python, which a unit has "
@@ -84,17 +98,46 @@ class NetworkUnit(Unit):
         return found
 
     @property
-    def named(self) -> list[tuple[str, Model]]:
-        """Names and models of the members."""
+    def members(self) -> list[tuple[str, Model | Embedded]]:
+        """Names of the members and what they are."""
         return [(m.name, model) for m, model in zip(self.whole.joined.members, self.models, strict=True)]
+
+    @property
+    def named(self) -> list[tuple[str, Model]]:
+        """Names and models of those that have one."""
+        return [(name, m) for name, m in self.members if not isinstance(m, Embedded)]
+
+    @property
+    def units(self) -> list[Embedded]:
+        """Units of other tools inside."""
+        return [m for m in self.models if isinstance(m, Embedded)]
+
+    @property
+    def saves(self) -> bool:
+        return all(m.file.interface.saves for m in self.units)
+
+    @property
+    def serialises(self) -> bool:
+        return self.saves and all(m.file.interface.serialises for m in self.units)
+
+    @property
+    def one_step(self) -> bool:
+        return any(m.file.interface.one_step for m in self.units)
+
+    def resources(self, platforms: Sequence[str]) -> dict[str, bytes]:
+        return {n: data for m in self.units for n, data in m.files(platforms).items()}
 
     def texts(self) -> dict[str, str]:
         return network_files(self.whole, self.master, self.models, self.step)
 
     def drivers(self) -> dict[str, Path]:
-        found = driver_sources("network/couplings")
+        found = driver_sources("network/couplings", *(["network/as_unit"] if self.units else []))
         own = SOLVER_FILES[self.master.solver]
-        others = {*OTHER_MASTERS, *(name for files in SOLVER_FILES.values() for name in files if name not in own)}
+        others = {
+            *OTHER_MASTERS,
+            *(() if self.units else CALLS),
+            *(name for files in SOLVER_FILES.values() for name in files if name not in own),
+        }
         return {name: path for name, path in found.items() if name not in others}
 
     @property
@@ -108,7 +151,11 @@ class NetworkUnit(Unit):
     @property
     def equations(self) -> list[tuple[str, Sequence[str], Sequence[str]]]:
         junctions = [f"the sum at {n}" for n in self.whole.joined.face.names]
-        return [*((name, m.row_names, m.instant_names) for name, m in self.named), ("junctions", junctions, ())]
+        rows = [
+            (name, (), ()) if isinstance(m, Embedded) else (name, m.row_names, m.instant_names)
+            for name, m in self.members
+        ]
+        return [*rows, ("junctions", junctions, ())]
 
     @cached_property
     def variables(self) -> tuple[FMUVariable, ...]:
@@ -120,6 +167,8 @@ class NetworkUnit(Unit):
             known = limit.get(q.name) if q.block in ("parameter", "tunable") else None
             found.append((q, known))
         table = listed(self.name, found, self.ledger_outputs, self.tunable, set())
+        outward = {of_member(m.name, n) for m in self.units for n in m.outward()}
+        table = tuple(replace(v, sign=-v.sign) if v.name in outward else v for v in table)
         return turned(table, [p for p in self.declaration.ports if p.name in self.outward])
 
     @cached_property
@@ -142,7 +191,7 @@ class NetworkUnit(Unit):
     def _quantities(self) -> Iterator[Quantity]:
         first = dict.fromkeys((*_LENGTHS, ""), 0)
         yield Quantity("time", "independent", "x", self.model.step.nx, unit="s", description="time")
-        for name, m in self.named:
+        for name, m in self.members:
             yield from self._of_member(name, m, first)
             for block, what in _LENGTHS.items():
                 first[block] += m.instant.nobs if what == "nobs" else getattr(m.step, what)
@@ -156,16 +205,22 @@ class NetworkUnit(Unit):
                 yield Quantity(name, "local", "joined", i, 1, None, joined.units[name], description=text)
         yield from self._junctions(self.master.found.columns + first["input"])
 
-    def _of_member(self, name: str, model: Model, first: dict[str, int]) -> Iterator[Quantity]:
+    def _of_member(self, name: str, model: Model | Embedded, first: dict[str, int]) -> Iterator[Quantity]:
         """Those of a member, `first`: where its entries of each block begin; what junctions and signals feed cannot be set."""
         network = self.whole.joined.network
         ends = {e.port for j in network.junctions for e in j.ends if e.member == name}
         ends |= {w.input.partition("[")[0] for w in network.wires if w.target == name}
-        fed = [p for p in model.declaration.ports if p.name in ends]
-        inputs = {n for p in fed for n in p.input_names()}
-        inner = {n for p in fed for e in ("", MEAN) for n in p.output_names(e)} | {port_energy(p.name) for p in fed}
-        for q in quantities(model):
-            if q.causality == "independent":
+        if isinstance(model, Embedded):
+            joined = [p for p in model.unit.ports if p.name in ends]
+            inputs, inner = {n for p in joined for n in p.inputs}, set[str]()
+            told = model.quantities(frozenset(p.name for p in joined))
+        else:
+            fed = [p for p in model.declaration.ports if p.name in ends]
+            inputs = {n for p in fed for n in p.input_names()}
+            inner = {n for p in fed for e in ("", MEAN) for n in p.output_names(e)} | {port_energy(p.name) for p in fed}
+            told = quantities(model)
+        for q in told:
+            if q.causality == "independent" or (not name and q.name in _TOTALS):
                 continue
             at = q.first + first[q.block if q.block in _LENGTHS else ""]
             found = replace(q, name=of_member(name, q.name), first=at)
@@ -212,7 +267,7 @@ class NetworkUnit(Unit):
 
 
 def network_unit(
-    network: Network, coupling: Named, whole: Coupled, models: Sequence[Model], **options: Any
+    network: Network, coupling: Named, whole: Coupled, models: Sequence[Model | Embedded], **options: Any
 ) -> NetworkUnit:
     """The unit of a network whose members are coupled as in `whole`; `options`: of `Unit`."""
     joined = {e for j in network.junctions for e in j.ends}
@@ -227,19 +282,21 @@ def network_unit(
         nx=sum(m.step.nx for m in models), na=sum(m.step.na for m in models), nu=sum(m.step.nu for m in models),
         ncomp=sum(m.step.ncomp for m in models), k=1,
     )  # fmt: skip
-    order = max(m.scheme.order for m in models) if coupling.nodes else coupling.order
+    own = [m for m in models if not isinstance(m, Embedded)]
+    order = max((m.scheme.order for m in own), default=coupling.order) if coupling.nodes else coupling.order
     scheme = SimpleNamespace(name=f"{coupling.words} of members", order=order)
     model: Any = SimpleNamespace(
-        declaration=declaration, step=plan, t0=models[0].t0, scheme=scheme, events=None, modes=None
+        declaration=declaration, step=plan, t0=own[0].t0 if own else 0.0, scheme=scheme, events=None, modes=None
     )
     return NetworkUnit(model=model, whole=whole, models=tuple(models), **options)
 
 
 def coupled_members(
-    network: Network, coupling: Named, schemes: Mapping[str, Scheme], step: float
-) -> tuple[Coupled, list[Model]]:
-    """The members of a network, native ones of their schemes, under a coupling, and their models.
+    network: Network, coupling: Named, schemes: Mapping[str, Scheme], step: float, found: Mapping[str, Rollback]
+) -> tuple[Coupled, list[Model | Embedded]]:
+    """The members of a network, native ones of their schemes and units of other tools, under a coupling, and what they are.
 
+    `found`: whether the units take steps of this length back, where the coupling asks that of them.
     Errors: FMUError; ValueError where outputs do not give the junctions their values, as couplings in turn need.
     """
     from phfmu.discretise.model import build_model
@@ -247,28 +304,35 @@ def coupled_members(
     from phfmu.fmu.export.value_groups import telling_constant
     from phfmu.network.couplings.apart import Apart
     from phfmu.network.members.engine_member import EngineMember
+    from phfmu.network.members.unit_member import unit_member
 
-    if network.units:
+    if stuck := [f"{n} {r.words}" for n, r in found.items() if not r.works]:
         raise FMUError(
-            f"{network.name}: {', '.join(network.units)} are units of other tools, which a unit of coupled members does not "
-            "hold; --ssp writes a package of all members"
+            f"{network.name}: {'; '.join(stuck)}: it would be stepped last, against a prediction, which a unit does not do; "
+            "take --coupling gauss-seidel, or a shorter step"
         )
     if some := [n for n, d in network.declared.items() if d.state_events or d.switches]:
         raise FMUError(
             f"{network.name}: {', '.join(some[:4])} have state events, which the coupling inside a unit does not land on; "
             "export it composed, without --as-unit"
         )
-    whole = Apart(network)
-    separate = network.separate(whole.holding(lambda name: coupling.nodes and schemes[name].node_values))
-    models = [telling_constant(build_model(separate[name], schemes[name])) for name in network.declared]
-    members: list[Any] = [
-        EngineMember(name, model, NativeInstance(model)) for name, model in zip(network.declared, models, strict=True)
-    ]
-    found = Coupled(network, members, coupling.make)
-    found.check_start()
-    if not found.coupling.repeats:  # whether outputs give the junctions their values
-        found.prepare(models[0].t0, step)
-    return found, models
+    separate = network.separate(Apart(network).holding(lambda name: coupling.nodes and schemes[name].node_values))
+    models, members = list[Model | Embedded](), list[Any]()
+    for name, member in network.members.items():
+        if isinstance(member, PHDAE):
+            model = telling_constant(build_model(separate[name], schemes[name]))
+            members.append(EngineMember(name, model, NativeInstance(model)))
+            models.append(model)
+        else:
+            unit, _ = unit_member(name, member, step, found.get(name))
+            assert isinstance(unit, FMUMember)
+            members.append(unit)
+            models.append(Embedded(unit, member))
+    whole = Coupled(network, members, coupling.make)
+    whole.check_start()
+    if not whole.coupling.repeats:  # whether outputs give the junctions their values
+        whole.prepare(0.0, step)
+    return whole, models
 
 
 def with_fed_inside(network: Network, names: Sequence[str]) -> Network:
@@ -276,6 +340,7 @@ def with_fed_inside(network: Network, names: Sequence[str]) -> Network:
     own: dict[str, list[str]] = {}
     for name in names:
         member, _, rest = name.partition(".")
+        member, rest = (member, rest) if member in network.members else (COMPOSED, name)
         own.setdefault(member, []).append(rest)
-    members = {n: fed_inside(d, own[n]) if n in own else d for n, d in network.declared.items()}
+    members = {n: fed_inside(d, own[n]) if n in own and isinstance(d, PHDAE) else d for n, d in network.members.items()}
     return replace(network, members=members)

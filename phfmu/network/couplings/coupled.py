@@ -303,8 +303,7 @@ class Coupled:
         They are the limit of short steps; units of other tools are not asked for such where outputs follow the unknowns at once.
         """
         self._sums.values(self.last.xi)
-        limit = not self.joined.put_off and (self._sums.hide or not self.master.calls)
-        found = self.master.prepare(self.last.xi, t0, h, limit)
+        found = self.master.prepare(self.last.xi, t0, h, self.from_short_steps)
         if found is None:
             assert self.master.refusal is not None
             if not isinstance(self.coupling, Halving):
@@ -321,6 +320,11 @@ class Coupled:
             return found[0], Instant().solve(self.joined, found[0], t0)
         except (StepFailure, ValueError):  # outputs do not follow all of them
             return found
+
+    @property
+    def from_short_steps(self) -> bool:
+        """Whether junction unknowns of the start are the limit of ever shorter steps, not those of one."""
+        return not self.joined.put_off and bool(self._sums.hide or not self.master.calls)
 
     def _sample(self) -> None:
         """Signals at the present time, where no step is taken."""

@@ -49,6 +49,7 @@ class UnitShare:
         }  # fmt: skip
 
     def _fields(self, lib: ctypes.CDLL, state: int) -> dict[str, Any]:
+        """A master restores no state of a time before the step that it takes, also where it repeats that: no_set_prior."""
         part, access, v = self._part, self._access, self._access.values
         version = getattr(lib, f"ph_unit_{access.prefix}")()
         own, held, given, out = v.nu, self._held(), v.input_sign, v.output_sign
@@ -76,7 +77,8 @@ class UnitShare:
             "row": self._scalars(self._named(self._row), range(len(self._row)), np.ones(len(self._row))),
             "unknown": self._scalars(unknown, at, sign), "known": self._memory.array(self._known(kicked)),
             "nrow": len(self._row), "y": self._y, "now": self._now,
-            "impulses": np.zeros(2 * part.kicks), "time": 0.0, "length": 0.0, "answer": 0, "call": None, "refused": None,
+            "impulses": np.zeros(2 * part.kicks), "no_set_prior": 1, "time": 0.0, "length": 0.0, "answer": 0,
+            "call": None, "refused": None,
         }  # fmt: skip
 
     # -- variables --------------------------------------------------------------------------------------------------

@@ -14,14 +14,24 @@ typedef struct ph_room {
     size_t first;
 } ph_room;
 
+/* A member that is no model, but a unit of another tool: what is constant of it, its step map, and what its
+ * share is asked, whose `of` is what takes its steps. */
+typedef struct ph_embedded {
+    const void *about;
+    const ph_step_map *(*map)(void);
+    const ph_kind *(*kind)(void);
+    int (*finish)(void *of); /* the step that was accepted once more, for good; NULL: it was */
+} ph_embedded;
+
 /* A member: its part of the exchange without memory, and what belongs to its model. */
 typedef struct ph_network_member {
     const ph_model *model;
-    const ph_ports *ports; /* NULL: it takes no impulses */
+    const ph_embedded *unit; /* in the place of a model; NULL */
+    const ph_ports *ports;   /* NULL: it takes no impulses */
     ph_share share;
-    ph_native native;
-    int held;  /* whether its inputs are held over a step, not given at nodes */
-    int nroom; /* of the share, those of the native behind them */
+    ph_native native; /* of a model */
+    int held;         /* whether its inputs are held over a step, not given at nodes */
+    int nroom;        /* of the share, those of the native behind them */
     int nnative;
     const ph_room *rooms; /* nroom + nnative */
 } ph_network_member;
@@ -41,6 +51,7 @@ typedef struct ph_network {
     int signals;          /* the first of the common variables that are signals */
     size_t room;          /* bytes of the memory of all */
     double step;          /* longest internal step, s */
+    int trials;           /* steps that tell the start */
     const double *start;  /* master.ncolumn: what the first trial starts from */
     const double *free;   /* inputs of all members besides those of junctions, at the start */
     int njunction;

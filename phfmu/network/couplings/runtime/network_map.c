@@ -13,7 +13,7 @@
 static size_t size(const void *about) {
     const ph_network *n = about;
     for (int i = 0; i < n->nmember; i++)
-        if (ph_size(n->members[i].model) == 0)
+        if (n->members[i].model && ph_size(n->members[i].model) == 0)
             return 0;
     return sizeof(ph_whole);
 }
@@ -23,7 +23,7 @@ static int reset(void *of) {
     const ph_network *n = w->about;
     int status = PH_OK;
     for (int i = 0; i < n->nmember && status == PH_OK; i++) {
-        status = ph_reset(w->members[i].in);
+        status = w->members[i].map->reset(w->members[i].of);
         if (w->members[i].kicks)
             memset(w->members[i].native.values, 0, ph_whole_values_size(w, i));
     }
@@ -38,6 +38,16 @@ static int reset(void *of) {
     return status;
 }
 
+/* Members that have files beside the library find them in the folders of their names. */
+static int open(void *of, const ph_surroundings *around) {
+    const ph_whole *w = of;
+    int status = PH_OK;
+    for (int i = 0; i < w->about->nmember && status == PH_OK; i++)
+        if (w->members[i].map->open)
+            status = w->members[i].map->open(w->members[i].of, around);
+    return status;
+}
+
 static int init(void *memory, const void *about) {
     ph_whole *w = memory;
     memset(w, 0, sizeof(*w));
@@ -46,6 +56,10 @@ static int init(void *memory, const void *about) {
     ph_whole_sizes(about, &w->sizes);
     ph_places(&w->sizes, w->offset);
     return ph_whole_make(w) ? reset(w) : PH_ABI;
+}
+
+static const ph_report *report_of(const ph_whole *w, int i) {
+    return w->members[i].map->report(w->members[i].of);
 }
 
 /* Who refused, and why. */
@@ -58,7 +72,7 @@ static int refused(ph_whole *w, int status, double t, double h) {
     for (int i = 0; i < m->nshare; i++)
         if (m->status[i]) {
             w->part = i;
-            w->report = *ph_last_report(w->members[i].in);
+            w->report = *report_of(w, i);
             return status;
         }
     w->report.iterations = w->report.spent = m->trials[0];
@@ -74,7 +88,7 @@ static int refused(ph_whole *w, int status, double t, double h) {
 }
 
 static double time_of(const ph_whole *w) {
-    return ph_signals(w->members[0].in)[w->members[0].offset[PH_TIME]];
+    return w->members[0].map->signals(w->members[0].of)[w->members[0].offset[PH_TIME]];
 }
 
 /* Inputs as they are before the first step: common variables at `begin` in all of the step, signals as their
@@ -87,7 +101,7 @@ static int present(ph_whole *w, const double *begin) {
         const ph_share *s = &w->shares[i];
         ph_share_inputs(m, s, s->u);
         ph_copy(s->now, s->u, s->nu);
-        status = ph_set_input(w->members[i].in, s->now);
+        status = w->members[i].map->set_input(w->members[i].of, s->now);
     }
     for (int i = 0; i < m->nwire && status == PH_OK; i++) {
         const ph_share *from = &w->shares[m->wire_source[i]], *to = &w->shares[m->wire_target[i]];
@@ -104,10 +118,10 @@ static int refresh(void *of) {
     ph_whole *w = of;
     int status = PH_OK;
     for (int i = 0; i < w->about->nmember && status == PH_OK; i++) {
-        status = ph_refresh(w->members[i].in);
+        status = w->members[i].map->refresh(w->members[i].of);
         if (status) {
             w->part = i;
-            w->report = *ph_last_report(w->members[i].in);
+            w->report = *report_of(w, i);
         }
     }
     ph_whole_gather(w);
@@ -117,10 +131,10 @@ static int refresh(void *of) {
 /* Of all members, under the inputs that they have. */
 static int initialise_members(ph_whole *w) {
     for (int i = 0; i < w->about->nmember; i++) {
-        const int status = ph_initialise(w->members[i].in);
+        const int status = w->members[i].map->initialise(w->members[i].of);
         if (status) {
             w->part = i;
-            w->report = *ph_last_report(w->members[i].in);
+            w->report = *report_of(w, i);
             return status;
         }
     }
@@ -145,7 +159,7 @@ static int initialise(void *of) {
     if (status)
         return status;
     ph_master_forget(&w->master);
-    status = ph_master_prepare(&w->master, t, n->step, PH_START_TRIALS, n->start, w->mean, begin);
+    status = ph_master_prepare(&w->master, t, n->step, n->trials, n->start, w->mean, begin);
     ph_master_forget(&w->master);
     if (status)
         return refused(w, status, t, n->step);
@@ -171,7 +185,7 @@ static int set_x(void *of, double t, const double *x) {
     const int begin = w->offset[PH_X];
     for (int i = 0; i < w->about->nmember; i++) {
         const ph_whole_member *m = &w->members[i];
-        const int status = ph_set_x(m->in, t, x + m->first[PH_X] - begin);
+        const int status = m->map->set_x(m->of, t, x + m->first[PH_X] - begin);
         if (status)
             return status;
     }
@@ -188,7 +202,7 @@ static int set_parameters(void *of, const double *p) {
     if (w->sizes.np == 0 || memcmp(w->p, p, sizeof(double) * ((size_t)w->sizes.np)) == 0)
         return PH_OK;
     for (int i = 0; i < w->about->nmember; i++) {
-        const int status = ph_set_parameters(w->members[i].in, p + w->members[i].p);
+        const int status = w->members[i].map->set_parameters(w->members[i].of, p + w->members[i].p);
         if (status)
             return status;
     }
@@ -263,6 +277,12 @@ static int step(ph_whole *w, double t, double h, int number) {
     }
     if (ph_master_run(m, t, h, 1, number, next) != 1)
         return refused(w, m->refused, t + number * h, h);
+    for (int i = 0; i < w->about->nmember; i++) {
+        const ph_embedded *unit = w->about->members[i].unit;
+        m->status[i] = unit && unit->finish ? unit->finish(w->members[i].of) : PH_OK;
+        if (m->status[i])
+            return refused(w, m->status[i], t + number * h, h);
+    }
     ph_copy(w->mean, m->xi, m->ncolumn);
     *w->h = h;
     average(w);
@@ -273,11 +293,14 @@ static int step(ph_whole *w, double t, double h, int number) {
 
 static int step_parts(void *of, double t, double h, int n) {
     ph_whole *w = of;
-    if (n > 1)
-        ph_whole_save(w, w->before);
+    if (n > 1 && ph_whole_returns(w->about)) {
+        const int status = ph_whole_save(w, w->before);
+        if (status)
+            return refused(w, status, t, h);
+    }
     for (int i = 0; i < n; i++) {
         const int status = step(w, t, h / n, i);
-        if (status && n > 1)
+        if (status && n > 1 && ph_whole_returns(w->about))
             ph_whole_load(w, w->before);
         if (status) {
             w->report.solved = i;
@@ -295,7 +318,7 @@ static int skip(void *of, double t) {
     ph_whole *w = of;
     int status = PH_OK;
     for (int i = 0; i < w->about->nmember && status == PH_OK; i++)
-        status = ph_skip(w->members[i].in, t);
+        status = w->members[i].map->skip(w->members[i].of, t);
     ph_whole_gather(w);
     return status;
 }
@@ -326,7 +349,7 @@ static const long long *counts(const void *of) {
     memset(w->count, 0, PH_NCOUNT * sizeof(long long));
     for (int i = 0; i < w->about->nmember; i++)
         for (int c = 0; c < PH_NCOUNT; c++)
-            w->count[c] += ph_counts(w->members[i].in)[c];
+            w->count[c] += w->members[i].map->counts(w->members[i].of)[c];
     return w->count;
 }
 
@@ -354,6 +377,7 @@ const ph_step_map *ph_map_network(void) {
         .sizes = ph_whole_sizes,
         .size = size,
         .init = init,
+        .open = open,
         .release = ph_whole_release,
         .reset = reset,
         .initialise = initialise,
@@ -381,6 +405,11 @@ const ph_step_map *ph_map_network(void) {
         .save = ph_whole_save,
         .load = ph_whole_load,
         .state_fault = ph_whole_state_fault,
+        .returns = ph_whole_returns,
+        .forget = ph_whole_forget,
+        .held_size = ph_whole_held_size,
+        .write_held = ph_whole_write_held,
+        .read_held = ph_whole_read_held,
         .joined = joined,
     };
     return &network;

@@ -12,9 +12,15 @@ static int make_member(ph_whole *w, int i) {
     const ph_network_member *about = &w->about->members[i];
     ph_whole_member *m = &w->members[i];
     size_t state, values = about->ports ? 4 * doubles((size_t)about->ports->n) : 0;
-    m->in = calloc(1, ph_size(about->model));
-    if (!m->in || ph_init(m->in, about->model) != PH_OK)
+    m->map = ph_whole_map(about, &m->about);
+    m->map->sizes(m->about, &m->sizes);
+    ph_places(&m->sizes, m->offset);
+    m->of = calloc(1, m->map->size(m->about));
+    if (!m->of || m->map->init(m->of, m->about) != PH_OK)
         return 0;
+    if (about->unit)
+        return 1;
+    m->in = m->of;
     state = ph_padded(ph_state_size(m->in));
     m->states = calloc(1, 2 * state + values + 1);
     if (!m->states)
@@ -39,7 +45,6 @@ static int make_member(ph_whole *w, int i) {
             return 0;
         m->native.chain = m->chain;
     }
-    ph_layout(about->model, m->offset);
     return 1;
 }
 
@@ -56,7 +61,7 @@ static void place_members(ph_whole *w) {
     memcpy(at, w->offset, sizeof(at));
     for (int i = 0; i < w->about->nmember; i++) {
         ph_whole_member *m = &w->members[i];
-        const ph_plan *plan = w->about->members[i].model->step;
+        const ph_sizes *own = &m->sizes;
         for (int b = 0; b < PH_NBLOCK; b++) {
             m->first[b] = at[b];
             at[b] += b == PH_TIME ? 0 : m->offset[b + 1] - m->offset[b];
@@ -65,11 +70,10 @@ static void place_members(ph_whole *w) {
         m->p = p;
         m->pairs = pairs;
         m->comp = comp;
-        m->nq = plan->nq;
-        u += plan->nu;
-        p += plan->np;
-        pairs += plan->nq;
-        comp += plan->ncomp;
+        u += own->nu;
+        p += own->np;
+        pairs += own->nq;
+        comp += own->ncomp;
     }
 }
 
@@ -109,14 +113,15 @@ static int make_master(ph_whole *w) {
         ph_whole_member *own = &w->members[i];
         ph_share *s = &w->shares[i];
         *s = about->share;
+        const double *signals = own->map->signals(own->of);
         furnish(w, s, about->rooms, about->nroom);
         furnish(w, &own->native, about->rooms + about->nroom, about->nnative);
-        s->kind = ph_kind_native();
-        s->of = &own->native;
+        s->kind = about->unit ? about->unit->kind() : ph_kind_native();
+        s->of = about->unit ? own->of : &own->native;
         s->free = w->free + own->u;
-        s->outputs = about->held ? own->native.signals + own->offset[PH_Y_STEP] : ph_node_outputs(own->in);
-        s->energies = own->native.signals + own->offset[PH_H];
-        s->end = own->native.signals + own->offset[PH_Y_END];
+        s->outputs = about->held ? signals + own->offset[PH_Y_STEP] : own->map->node_outputs(own->of);
+        s->energies = signals + own->offset[PH_H];
+        s->end = signals + own->offset[PH_Y_END];
     }
     furnish(w, m, n->rooms, n->nroom);
     if (n->memory_size)
@@ -147,8 +152,13 @@ int ph_whole_make(ph_whole *w) {
 
 void ph_whole_release(void *of) {
     ph_whole *w = of;
+    if (w->before)
+        ph_whole_forget(w, w->before);
     for (int i = 0; w->members && i < w->about->nmember; i++) {
-        free(w->members[i].in);
+        const ph_whole_member *m = &w->members[i];
+        if (m->of && m->map->release)
+            m->map->release(m->of);
+        free(m->of);
         free(w->members[i].kicks);
         free(w->members[i].chain);
         free(w->members[i].states);

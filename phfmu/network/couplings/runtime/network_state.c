@@ -9,13 +9,20 @@ int ph_whole_njoined(const ph_network *n, int nu) {
     return n->master.ncolumn + nu + 2 * n->njunction + 1;
 }
 
+const ph_step_map *ph_whole_map(const ph_network_member *m, const void **about) {
+    *about = m->unit ? m->unit->about : m->model;
+    return m->unit ? m->unit->map() : ph_map_model();
+}
+
 void ph_whole_sizes(const void *about, ph_sizes *s) {
     const ph_network *n = about;
     static const double one = 1.0;
     *s = (ph_sizes){.k = 1, .weights = &one};
     for (int i = 0; i < n->nmember; i++) {
         ph_sizes own;
-        ph_sizes_of(n->members[i].model, &own);
+        const void *of;
+        const ph_step_map *map = ph_whole_map(&n->members[i], &of);
+        map->sizes(of, &own);
         s->nx += own.nx;
         s->na += own.na;
         s->nu += own.nu;
@@ -29,21 +36,20 @@ void ph_whole_sizes(const void *about, ph_sizes *s) {
 void ph_whole_gather(ph_whole *w) {
     for (int i = 0; i < w->about->nmember; i++) {
         const ph_whole_member *m = &w->members[i];
-        const double *table = ph_signals(m->in);
-        const int nc = w->about->members[i].model->step->ncomp;
+        const double *table = m->map->signals(m->of);
         for (int b = 0; b < PH_NBLOCK; b++)
             if (b != PH_TIME || i == 0)
                 ph_copy(w->table + m->first[b], table + m->offset[b], m->offset[b + 1] - m->offset[b]);
         for (int r = 0; r < PH_NROW; r++)
-            ph_copy(w->row[r] + (r == PH_ROW_PAIRS ? m->pairs : m->comp), ph_ledger(m->in, r),
-                    r == PH_ROW_PAIRS ? m->nq : nc);
+            ph_copy(w->row[r] + (r == PH_ROW_PAIRS ? m->pairs : m->comp), m->map->ledger(m->of, r),
+                    r == PH_ROW_PAIRS ? m->sizes.nq : m->sizes.ncomp);
     }
 }
 
 void ph_whole_gather_parameters(ph_whole *w) {
     for (int i = 0; i < w->about->nmember; i++)
-        ph_copy(w->p + w->members[i].p, ph_parameters(w->members[i].in),
-                w->about->members[i].model->step->np);
+        ph_copy(w->p + w->members[i].p, w->members[i].map->parameters(w->members[i].of),
+                w->members[i].sizes.np);
 }
 
 int ph_whole_kept_size(const void *about) {
@@ -52,8 +58,11 @@ int ph_whole_kept_size(const void *about) {
     int size;
     ph_whole_sizes(n, &s);
     size = n->master.ncolumn + s.nu + n->njunction;
-    for (int i = 0; i < n->nmember; i++)
-        size += ph_kept_size(n->members[i].model);
+    for (int i = 0; i < n->nmember; i++) {
+        const void *of;
+        const ph_step_map *map = ph_whole_map(&n->members[i], &of);
+        size += map->kept_size(of);
+    }
     return size;
 }
 
@@ -63,8 +72,9 @@ void ph_whole_keep(const void *of, double *kept) {
     ph_copy(kept, w->joined, means);
     kept += means;
     for (int i = 0; i < w->about->nmember; i++) {
-        ph_keep(w->members[i].in, kept);
-        kept += ph_kept_size(w->about->members[i].model);
+        const ph_whole_member *m = &w->members[i];
+        m->map->keep(m->of, kept);
+        kept += m->map->kept_size(m->about);
     }
 }
 
@@ -78,8 +88,9 @@ void ph_whole_join(void *of, const double *kept, double part) {
         w->joined[means + j] += kept[j];
     kept += w->about->njunction;
     for (int i = 0; i < w->about->nmember; i++) {
-        ph_join(w->members[i].in, kept, part);
-        kept += ph_kept_size(w->about->members[i].model);
+        const ph_whole_member *m = &w->members[i];
+        m->map->join(m->of, kept, part);
+        kept += m->map->kept_size(m->about);
     }
     ph_whole_gather(w);
 }
@@ -99,24 +110,30 @@ size_t ph_whole_values_size(const ph_whole *w, int i) {
     return w->members[i].kicks ? 4 * sizeof(double) * (size_t)w->about->members[i].ports->n : 0;
 }
 
+/* Of the state of a member. */
+static size_t member_size(const ph_whole *w, int i) {
+    return ph_padded(w->members[i].map->state_size(w->members[i].of));
+}
+
 size_t ph_whole_state_size(const void *of) {
     const ph_whole *w = of;
     size_t size = sizeof(double) * remembered(w);
     for (int i = 0; i < w->about->nmember; i++)
-        size += ph_padded(ph_state_size(w->members[i].in)) + ph_padded(ph_whole_values_size(w, i));
+        size += member_size(w, i) + ph_padded(ph_whole_values_size(w, i));
     return ph_padded(size);
 }
 
-void ph_whole_save(const void *of, void *out) {
+int ph_whole_save(void *of, void *out) {
     const ph_whole *w = of;
     const ph_master *m = &w->master;
     char *to = out;
     double *values;
-    memset(out, 0, ph_whole_state_size(w));
+    int status = PH_OK;
     for (int i = 0; i < w->about->nmember; i++) {
         const ph_whole_member *own = &w->members[i];
-        ph_save(own->in, to);
-        to += ph_padded(ph_state_size(own->in));
+        const int answer = own->map->save(own->of, to);
+        status = answer ? answer : status;
+        to += member_size(w, i);
         if (own->kicks)
             memcpy(to, own->native.values, ph_whole_values_size(w, i));
         to += ph_padded(ph_whole_values_size(w, i));
@@ -129,6 +146,7 @@ void ph_whole_save(const void *of, void *out) {
     values += m->ncolumn;
     ph_copy(values, w->joined, ph_whole_njoined(w->about, w->sizes.nu));
     ph_master_save(m, values + ph_whole_njoined(w->about, w->sizes.nu));
+    return status;
 }
 
 int ph_whole_load(void *of, const void *from) {
@@ -139,8 +157,8 @@ int ph_whole_load(void *of, const void *from) {
     int status = PH_OK;
     for (int i = 0; i < w->about->nmember && status == PH_OK; i++) {
         const ph_whole_member *own = &w->members[i];
-        status = ph_load(own->in, place);
-        place += ph_padded(ph_state_size(own->in));
+        status = own->map->load(own->of, place);
+        place += member_size(w, i);
         if (own->kicks)
             memcpy(own->native.values, place, ph_whole_values_size(w, i));
         place += ph_padded(ph_whole_values_size(w, i));
@@ -165,10 +183,10 @@ const char *ph_whole_state_fault(const void *of, const void *from) {
     const char *place = from;
     const double *values;
     for (int i = 0; i < w->about->nmember; i++) {
-        const char *wrong = ph_state_fault(w->members[i].in, place);
+        const char *wrong = w->members[i].map->state_fault(w->members[i].of, place);
         if (wrong)
             return wrong;
-        place += ph_padded(ph_state_size(w->members[i].in)) + ph_padded(ph_whole_values_size(w, i));
+        place += member_size(w, i) + ph_padded(ph_whole_values_size(w, i));
     }
     values = (const double *)(const void *)place;
     for (size_t i = 0; i < remembered(w); i++)
@@ -177,4 +195,95 @@ const char *ph_whole_state_fault(const void *of, const void *from) {
     if (!ph_master_sound(&w->master, values + own_values(w)))
         return "a count or a size of the coupling is out of range";
     return NULL;
+}
+
+int ph_whole_returns(const void *about) {
+    const ph_network *n = about;
+    for (int i = 0; i < n->nmember; i++) {
+        const void *of;
+        const ph_step_map *map = ph_whole_map(&n->members[i], &of);
+        if (map->returns && !map->returns(of))
+            return 0;
+    }
+    return 1;
+}
+
+/* The state of a member in one of all. */
+static char *member_state(const ph_whole *w, int i, void *state) {
+    char *place = state;
+    for (int before = 0; before < i; before++)
+        place += member_size(w, before) + ph_padded(ph_whole_values_size(w, before));
+    return place;
+}
+
+void ph_whole_forget(void *of, void *state) {
+    const ph_whole *w = of;
+    for (int i = 0; i < w->about->nmember; i++) {
+        const ph_whole_member *m = &w->members[i];
+        if (m->map->forget)
+            m->map->forget(m->of, member_state(w, i, state));
+    }
+}
+
+/* Of each member that keeps something: how many bytes, then these. */
+int ph_whole_held_size(void *of, void *state, size_t *n) {
+    const ph_whole *w = of;
+    int status = PH_OK;
+    *n = 0;
+    for (int i = 0; i < w->about->nmember && status == PH_OK; i++) {
+        const ph_whole_member *m = &w->members[i];
+        size_t own = 0;
+        if (!m->map->held_size)
+            continue;
+        status = m->map->held_size(m->of, member_state(w, i, state), &own);
+        *n += sizeof(own) + own;
+    }
+    return status;
+}
+
+int ph_whole_write_held(void *of, void *state, char *bytes) {
+    const ph_whole *w = of;
+    int status = PH_OK;
+    for (int i = 0; i < w->about->nmember && status == PH_OK; i++) {
+        const ph_whole_member *m = &w->members[i];
+        size_t own = 0;
+        if (!m->map->held_size)
+            continue;
+        status = m->map->held_size(m->of, member_state(w, i, state), &own);
+        memcpy(bytes, &own, sizeof(own));
+        if (status == PH_OK)
+            status = m->map->write_held(m->of, member_state(w, i, state), bytes + sizeof(own));
+        bytes += sizeof(own) + own;
+    }
+    return status;
+}
+
+/* Where one refuses its part, nothing is kept of any. */
+int ph_whole_read_held(void *of, void *state, const char *bytes, size_t n) {
+    const ph_whole *w = of;
+    int status = PH_OK;
+    for (int i = 0; i < w->about->nmember; i++) {
+        const ph_whole_member *m = &w->members[i];
+        size_t own = 0;
+        if (!m->map->read_held)
+            continue;
+        if (status == PH_OK && n < sizeof(own))
+            status = PH_VALUE;
+        if (status == PH_OK)
+            memcpy(&own, bytes, sizeof(own));
+        if (status == PH_OK && own > n - sizeof(own))
+            status = PH_VALUE;
+        if (status) { /* of the others nothing may be taken for something that is kept */
+            m->map->read_held(m->of, member_state(w, i, state), NULL, 0);
+            continue;
+        }
+        status = m->map->read_held(m->of, member_state(w, i, state), bytes + sizeof(own), own);
+        bytes += sizeof(own) + own;
+        n -= sizeof(own) + own;
+    }
+    if (status == PH_OK && n > 0)
+        status = PH_VALUE;
+    if (status)
+        ph_whole_forget(of, state);
+    return status;
 }

@@ -8,14 +8,18 @@
 
 /* A member, its memory, owned, and where its entries begin among those of all. */
 typedef struct ph_whole_member {
-    ph_instance *in;
+    const ph_step_map *map;
+    const void *about;  /* of the map */
+    void *of;           /* what takes its steps */
+    ph_instance *in;    /* the same, if that is a model's */
     ph_impulses *kicks; /* or NULL */
     void *chain;        /* an instance for derivatives, or NULL */
     void *states;       /* where it was: two of the instance, one of the impulses */
     ph_native native;
     int offset[PH_NBLOCK + 1]; /* in its table */
     int first[PH_NBLOCK];      /* in the table of all */
-    int u, p, pairs, comp, nq; /* first of its inputs, parameters, pairs, components; its pairs */
+    ph_sizes sizes;
+    int u, p, pairs, comp; /* first of its inputs, parameters, pairs, components */
 } ph_whole_member;
 
 typedef struct ph_whole {
@@ -53,7 +57,9 @@ static inline void ph_copy(double *to, const double *from, int n) {
 int ph_whole_make(ph_whole *w);
 void ph_whole_release(void *of);
 
-/* network_state.c: sizes of all members together, length of `joined`. */
+/* network_state.c: the map of a member and what is constant of it, sizes of all members together, length of
+ * `joined`. */
+const ph_step_map *ph_whole_map(const ph_network_member *m, const void **about);
 void ph_whole_sizes(const void *about, ph_sizes *s);
 int ph_whole_njoined(const ph_network *n, int nu);
 /* Blocks, and parameters, of the members side by side. */
@@ -65,8 +71,13 @@ int ph_whole_kept_size(const void *about);
 void ph_whole_keep(const void *of, double *kept);
 void ph_whole_join(void *of, const double *kept, double part);
 size_t ph_whole_state_size(const void *of);
-void ph_whole_save(const void *of, void *out);
+int ph_whole_save(void *of, void *out);
 int ph_whole_load(void *of, const void *from);
 const char *ph_whole_state_fault(const void *of, const void *from);
+int ph_whole_returns(const void *about);
+void ph_whole_forget(void *of, void *state);
+int ph_whole_held_size(void *of, void *state, size_t *n);
+int ph_whole_write_held(void *of, void *state, char *bytes);
+int ph_whole_read_held(void *of, void *state, const char *bytes, size_t n);
 
 #endif

@@ -73,6 +73,7 @@ typedef struct ph_unit {
     double *y;        /* k*nu: work, as all below */
     double *now;      /* nu+1: present */
     double *impulses; /* 2*nkick: of the last step */
+    int no_set_prior; /* what steps are told: whether no state of a time before them is restored */
     double time;      /* of the call, the start of the last step */
     double length;    /* of it */
     int answer;       /* fmi2Status, fmi3Status of the last call that was refused */
@@ -81,11 +82,12 @@ typedef struct ph_unit {
 } ph_unit;
 
 /* What is asked again from Python, which says why not. */
-enum { PH_REFUSED = PH_NSTATUS };
+enum { PH_REFUSED = PH_UNIT };
 
 /* unit_call.c: around each call. A unit that met a fatal error is not called any more. */
 int ph_unit_begin(ph_unit *u, const char *call);
 int ph_unit_answer(ph_unit *u, int status);
+int ph_unit_dead(const ph_unit *u); /* whether it met a fatal error */
 
 PH_API const ph_version *ph_unit_fmi2(void);
 PH_API const ph_version *ph_unit_fmi3(void);

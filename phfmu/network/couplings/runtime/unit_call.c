@@ -4,8 +4,12 @@
 
 enum { WARNING = 1, FATAL = 4 };
 
+int ph_unit_dead(const ph_unit *u) {
+    return u->answer == FATAL;
+}
+
 int ph_unit_begin(ph_unit *u, const char *call) {
-    if (u->answer == FATAL)
+    if (ph_unit_dead(u))
         return 0;
     u->call = call;
     return 1;

@@ -14,9 +14,8 @@ static int get(ph_unit *u, const ph_scalars *s) {
     return ASK(u, GetReal, s->reference, (size_t)s->nreference, s->value);
 }
 
-/* A master restores no state of a time before the step that it takes, also where it repeats that. */
 static int step(ph_unit *u, double t, double h) {
-    return ASK(u, DoStep, t, h, 1);
+    return ASK(u, DoStep, t, h, u->no_set_prior);
 }
 
 static int save(ph_unit *u) {

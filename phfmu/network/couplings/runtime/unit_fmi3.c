@@ -14,12 +14,11 @@ static int get(ph_unit *u, const ph_scalars *s) {
     return ASK(u, GetFloat64, s->reference, (size_t)s->nreference, s->value, (size_t)s->nvalue);
 }
 
-/* A step that ends before its end, or asks to end the simulation, is not taken. A master restores no state of
- * a time before the step that it takes, also where it repeats that. */
+/* A step that ends before its end, or asks to end the simulation, is not taken. */
 static int step(ph_unit *u, double t, double h) {
     bool event = false, ended = false, early = false;
     double last = t;
-    int status = ASK(u, DoStep, t, h, true, &event, &ended, &early, &last);
+    int status = ASK(u, DoStep, t, h, u->no_set_prior != 0, &event, &ended, &early, &last);
     return status == PH_OK && (ended || early) ? PH_REFUSED : status;
 }
 
