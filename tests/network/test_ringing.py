@@ -27,12 +27,13 @@ from phfmu import (
     time,
 )
 from phfmu.components.library import LIBRARY, build
+from phfmu.declare.error import DeclarationError
 from phfmu.engine.switched import stepped
 from phfmu.network.couplings.newton import Newton
 from phfmu.runs import ringing
 from tests.engines import ENGINES
 from tests.events.stiff_fault import EVENTS, STEP, STOP, network
-from tests.wide import slow, wide
+from tests.wide import turning, wide
 
 SCENES = [n for n, row in LIBRARY.items() if row[0] == "scene"]
 
@@ -176,15 +177,20 @@ def test_watching_leaves_the_run_as_it_is(k, monkeypatch):
     assert np.array_equal(watched.values, blind.values)
 
 
-@pytest.mark.parametrize("order", [2, slow(4), slow(6)])
-@pytest.mark.parametrize("name", wide(SCENES, "rectifier", "two_machine", "buffer"))
+@pytest.mark.parametrize(
+    ("name", "order"), turning(SCENES, [2, 4, 6], ("rectifier", 2), ("two_machine", 2), ("buffer", 2))
+)
 def test_no_scene_of_the_library_is_told_of_ringing_with_its_own_steps(name, order):
     """two_machine without its damping steps is: at order 2 the fault's decay, T = 14 us, rings in steps of 100 us."""
     from phfmu.schemes.named import named_scheme
 
     scene = build(name)
     declaration = scene.declaration()
-    model = build_model(declaration, named_scheme(declaration, "auto", order))
+    try:
+        scheme = named_scheme(declaration, "auto", order)
+    except DeclarationError as error:  # constraints on positions have odd stages only
+        pytest.skip(str(error))
+    model = build_model(declaration, scheme)
     options = {"stop": min(scene.stop, 0.3), "step": scene.step, "events": scene.events}
     assert told(Monolithic(model, stepped(model, NativeInstance)), restart=scene.restart, **options) == []
     if name == "two_machine" and order == 2:

@@ -162,7 +162,7 @@ def members(drawn: Drawn) -> dict[str, Any]:
     from phfmu.schemes.collocated import Collocated
 
     made = {}
-    for name, d in drawn.network.members.items():
+    for name, d in drawn.network.declared.items():
         model = build_model(d, Collocated(1))
         made[name] = EngineMember(name, model, NativeInstance(model), 1 if name in drawn.booked else 4)
     return made
