@@ -175,7 +175,7 @@ FEW = [
 COUNT = {"dq-flux": {1: 100, 2: 40, 3: 25}, "abc-flux": {1: 400, 2: 100, 3: 50}}
 
 
-@pytest.mark.parametrize(("way", "k"), turning(WAYS, (1, 2, 3), *FEW))
+@pytest.mark.parametrize(("way", "k"), turning(WAYS, (1, 2, 3), *FEW), ids=str)
 def test_a_saturated_machine_converges_to_its_equations_in_currents(way, k):
     name, kind, coordinates = way
     n = COUNT[coordinates][k]

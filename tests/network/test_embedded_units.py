@@ -21,7 +21,7 @@ from tests.network.test_quarter_truck import CHASSIS, FINE, WHEEL
 from tests.network.test_quarter_truck import SCENE as TRUCK
 from tests.network.unit_members import pump_folder
 from tests.sanitized import output
-from tests.wide import slow
+from tests.wide import turning
 
 SCENE = """
 from phfmu import Event, Network, Scene
@@ -120,22 +120,29 @@ def equal_to_the_bit(path: Path, rows: dict[str, np.ndarray], h: float, least: i
         np.testing.assert_array_equal(found[1:, i], rows[name][1:], err_msg=name)
 
 
-CASES = [
-    ("mixed", "2.0", "jacobi", 2, "3"), ("mixed", "3.0", "newton", 4, "2"), ("foreign", "3.0", "gauss-seidel", 2, "3"),
+#: scene, version of the units inside, coupling
+WAYS = [
+    (s, i, c)
+    for s in ("mixed", "foreign")
+    for i in ("2.0", "3.0")
+    for c in ("jacobi", "gauss-seidel", "newton", "anderson")
+]
+#: order, version of the unit
+OUTER = {"mixed": [(k, o) for k in (2, 4, 6) for o in "23"], "foreign": [(2, "2"), (2, "3")]}
+TELLING = [
+    (("mixed", "2.0", "jacobi"), (2, "3")), (("mixed", "3.0", "newton"), (4, "2")),
+    (("foreign", "3.0", "gauss-seidel"), (2, "3")),
 ]  # fmt: skip
 
 
 @pytest.mark.parametrize(
-    ("scene", "inner", "coupling", "order", "outer"),
-    [*CASES, *(
-        slow((s, i, c, k, o)) for s in ("mixed", "foreign") for i in ("2.0", "3.0")
-        for c in ("jacobi", "gauss-seidel", "newton", "anderson") for k in ((2, 4, 6) if s == "mixed" else (2,))
-        for o in "23" if (s, i, c, k, o) not in CASES
-    )],
+    ("inside", "outside"),
+    [case for s in OUTER for case in turning(
+        [w for w in WAYS if w[0] == s], OUTER[s], *(pair for pair in TELLING if pair[0][0] == s)
+    )], ids=str,
 )  # fmt: skip
-def test_unit_has_the_bits_of_the_run(
-    folder: Path, scene: str, inner: str, coupling: str, order: int, outer: str
-) -> None:
+def test_unit_has_the_bits_of_the_run(folder: Path, inside: tuple[str, str, str], outside: tuple[int, str]) -> None:
+    (scene, inner, coupling), (order, outer) = inside, outside
     units(folder, inner)
     how = ["--coupling", coupling, "--order", str(order), *STARTS[scene]]
     how += ["--sequence", "pump,cart,spring"] if (scene, coupling) == ("mixed", "gauss-seidel") else []
