@@ -10,27 +10,6 @@
 
 #include "system.h"
 
-/* -- calls ------------------------------------------------------------------------------------------------
- */
-
-static const char *answer_of(int status) {
-    static const char *const words[] = {"ok", "warning", "discard", "error", "fatal", "pending"};
-    return status >= 0 && status < 6 ? words[status] : "an unknown status";
-}
-
-/* What was answered to the call that was refused, with the unit's own words. */
-static int refused(ph_embedded_unit *e) {
-    const double t = e->table[e->offset[PH_TIME]];
-    e->report = (ph_report){.status = PH_UNIT, .row = -1, .column = -1, .time = t};
-    return ph_embedded_refuse(e, "at t = %.9g s %s was answered with %s%s%s", t,
-                              e->unit.refused ? e->unit.refused : "a call", answer_of(e->unit.answer),
-                              *e->words ? ": " : "", e->words);
-}
-
-int ph_embedded_asked(ph_embedded_unit *e, int status) {
-    return status ? refused(e) : PH_OK;
-}
-
 static int get(ph_embedded_unit *e, const ph_scalars *s) {
     return s->n ? ph_embedded_asked(e, e->unit.version->get(&e->unit, s)) : PH_OK;
 }

@@ -134,9 +134,8 @@ const ph_kind *ph_kind_embedded(void);
 /* The step that was accepted once more, from where it began, as one that will not be taken back. */
 int ph_embedded_finish(void *of);
 
-/* Of the map. A call that was refused is told, and its answer PH_UNIT; outputs and displacements now, inward;
+/* Of the map. Outputs and displacements now, inward;
  * outputs of ports now, in the table; inputs as `given`, or u, inward; all that it tells. */
-int ph_embedded_asked(ph_embedded_unit *e, int status);
 int ph_embedded_look(ph_embedded_unit *e, double *to);
 int ph_embedded_look_now(ph_embedded_unit *e);
 int ph_embedded_give(ph_embedded_unit *e);
@@ -159,6 +158,8 @@ const ph_standard *ph_standard_fmi3(void);
 
 /* embedded_library.c. A refusal, told: PH_UNIT. */
 int ph_embedded_refuse(ph_embedded_unit *e, const char *format, ...);
+/* Of what a call answered: PH_OK, or its refusal, told. */
+int ph_embedded_asked(ph_embedded_unit *e, int status);
 /* The library of its folder; a function of it, 0 if there is none; the end of it. */
 int ph_embedded_library(ph_embedded_unit *e);
 int ph_embedded_function(ph_embedded_unit *e, const char *name, void *to, size_t size);

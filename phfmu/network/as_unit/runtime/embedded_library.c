@@ -37,6 +37,27 @@ int ph_embedded_refuse(ph_embedded_unit *e, const char *format, ...) {
     return PH_UNIT;
 }
 
+/* -- calls ------------------------------------------------------------------------------------------------
+ */
+
+static const char *answer_of(int status) {
+    static const char *const words[] = {"ok", "warning", "discard", "error", "fatal", "pending"};
+    return status >= 0 && status < 6 ? words[status] : "an unknown status";
+}
+
+/* What was answered to the call that was refused, with the unit's own words. */
+static int refused(ph_embedded_unit *e) {
+    const double t = e->table[e->offset[PH_TIME]];
+    e->report = (ph_report){.status = PH_UNIT, .row = -1, .column = -1, .time = t};
+    return ph_embedded_refuse(e, "at t = %.9g s %s was answered with %s%s%s", t,
+                              e->unit.refused ? e->unit.refused : "a call", answer_of(e->unit.answer),
+                              *e->words ? ": " : "", e->words);
+}
+
+int ph_embedded_asked(ph_embedded_unit *e, int status) {
+    return status ? refused(e) : PH_OK;
+}
+
 void ph_embedded_hear(ph_embedded_unit *e, const char *text) {
     size_t n = 0;
     for (; text && text[n] && n + 1 < sizeof(e->words); n++)
