@@ -38,14 +38,12 @@ _ENERGIES = (
     ("supplied_step", "row_supplied", "energy supplied through ports in the last step, estimated"),
 )
 
-#: types of values in C
-_IN_C: dict[Any, str] = {ctypes.c_int: "int", ctypes.c_bool: "bool", ctypes.c_float: "float"}
-_IN_C |= {getattr(ctypes, f"c_{u}int{b}"): f"{u}int{b}_t" for u in ("", "u") for b in (8, 16, 32, 64)} | {
-    ctypes.c_int: "int"
-}
-#: and their `ph_type`
-_TYPE: dict[Any, str] = {ctypes.c_bool: "PH_BOOLEAN", ctypes.c_float: "PH_FLOAT32"}
-_TYPE |= {getattr(ctypes, f"c_{u}int{b}"): f"PH_{u.upper()}INT{b}" for u in ("", "u") for b in (8, 16, 32, 64)}
+#: types of values -> in C, and their `ph_type`
+_IN_C: dict[Any, tuple[str, str]] = {
+    getattr(ctypes, f"c_{u}int{b}"): (f"{u}int{b}_t", f"PH_{u.upper()}INT{b}") for u in ("", "u") for b in (8, 16, 32, 64)
+} | {
+    ctypes.c_int: ("int", "PH_INT32"), ctypes.c_bool: ("bool", "PH_BOOLEAN"), ctypes.c_float: ("float", "PH_FLOAT32"),
+}  # fmt: skip
 
 
 def require_embeddable(network: Network, platforms: Sequence[str]) -> None:
@@ -228,7 +226,7 @@ class Embedded:
         texts.append(f"static const ph_scalars {symbol}_settable[] = {{{', '.join(settable) or '{0}'}}};\n")
         texts.append(self._typed_text(f"{symbol}_typed", version))
         others = [(version.types[v.type], v.reference) for v in self.told if v.type != "Float64"]
-        rows = ", ".join(f'{{"Get{word}", {_TYPE[element]}, {r}u, 0}}' for (word, element), r in others)
+        rows = ", ".join(f'{{"Get{word}", {_IN_C[element][1]}, {r}u, 0}}' for (word, element), r in others)
         texts.append(f"static const ph_typed {symbol}_other[] = {{{rows or '{0}'}}};\n")
         late = [v.causality == "input" or v.variability == "tunable" for v in self.settable]
         watched = [i for i, v in enumerate(self.told) if v.causality == "output"]
@@ -273,8 +271,8 @@ class Embedded:
             found.spread(found.by_type[0])
             (value,) = found.by_type[0].buffer.tolist()
             written = f"{value!r}f" if element is ctypes.c_float else str(int(value))
-            texts.append(f"static const {_IN_C[element]} {name}{i} = {written};\n")
-            rows.append(f'{{"Set{word}", {_TYPE[element]}, {v.reference}u, &{name}{i}}}')
+            texts.append(f"static const {_IN_C[element][0]} {name}{i} = {written};\n")
+            rows.append(f'{{"Set{word}", {_IN_C[element][1]}, {v.reference}u, &{name}{i}}}')
         return f"{''.join(texts)}static const ph_typed {name}[] = {{{', '.join(rows) or '{0}'}}};\n"
 
     def _libraries(self) -> str:
