@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from phfmu import NativeInstance, PythonInstance, Scene
-from phfmu.components.library import LIBRARY, SWITCHED, build
+from phfmu.components.library import LIBRARY, RUNS, SWITCHED, build
 from phfmu.engine.record import recorded
 from tests.engine.library_models import ERRORS, FORMS, declaration, plan, start
 from tests.engines import ENGINES
@@ -42,6 +42,8 @@ def step_size(name):
         return made.step
     if name == "net":  # its springs are stiff: 280 rad/s
         return 1e-3
+    if name in RUNS:
+        return RUNS[name][1]
     return 0.01 if "mechanical" in LIBRARY.get(name, ("", ""))[1] or "spring" in name else 1e-4
 
 
