@@ -28,8 +28,6 @@ SCENES = {
     "smib_breaker": (7, None),
 }
 
-pytestmark = pytest.mark.slow
-
 
 def long(name: str, times: int, k: int) -> tuple[Any, Any]:
     """The instance at the end and the result of a run."""
@@ -51,6 +49,7 @@ def require_as_expected(name: str, times: int, k: int) -> Any:
     return made
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("k", [1, 2, 3])
 @pytest.mark.parametrize("name", SCENES)
 def test_ten_times_as_long(name: str, k: int) -> None:
@@ -60,11 +59,13 @@ def test_ten_times_as_long(name: str, k: int) -> None:
 LONG = [n for n, (_, many) in SCENES.items() if many or n == "bouncing_ball"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "k"), [(n, 1 + i % 3) for i, n in enumerate(LONG) if n != "buck"])
 def test_a_thousand_times_as_long(name: str, k: int) -> None:
     require_as_expected(name, 1000, k)
 
 
+@pytest.mark.long
 def test_sixty_thousand_periods_of_a_converter_end_where_the_exact_stretches_do() -> None:
     """The steady state of a thousand lengths, which the exact solution has after a hundredth of that."""
     scene = build("buck")
@@ -73,6 +74,7 @@ def test_sixty_thousand_periods_of_a_converter_end_where_the_exact_stretches_do(
     assert scene.stop * 1000 == 3.0
 
 
+@pytest.mark.slow
 def test_a_rotor_between_two_speeds_takes_the_periods_of_its_exponentials() -> None:
     """Thousands of switchings, each period as long as two exponentials of J/d = 2.5 s."""
     _, result = long("two_point_control", 1000, 3)

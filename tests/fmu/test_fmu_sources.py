@@ -18,7 +18,7 @@ from phfmu.fmu.export.description import Unit
 from phfmu.fmu.export.export import PLATFORMS, export
 from phfmu.fmu.importer.reader import FMUInstance
 from tests.fmu.exported import build, needs_cc
-from tests.wide import wide
+from tests.wide import longer, wide
 
 HERE = Path(__file__).parent
 
@@ -171,8 +171,7 @@ def test_its_sources_build_the_same_unit(exported, tmp_path: Path, version: str)
         np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-12)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("platform", PLATFORMS)
+@pytest.mark.parametrize("platform", longer(PLATFORMS, "aarch64-linux", "aarch64-darwin"))
 def test_other_platforms_link(tmp_path: Path, platform: str) -> None:
     pytest.importorskip("ziglang")
     declaration, model, step = build("mass")

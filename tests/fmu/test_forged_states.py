@@ -15,6 +15,7 @@ from phfmu.fmu.export.schedule import UnitEvent
 from phfmu.fmu.importer.archive import open_archive
 from phfmu.schemes.collocated import Collocated
 from tests.fmu.exported import SANITIZE
+from tests.wide import longer
 
 HERE = Path(__file__).parent
 TRIALS = 2_000
@@ -36,8 +37,14 @@ MODELS = {
 BOTH = ("four_particle", "dc_motor", "bouncing_ball", "rectifier")
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("name", "version"), [*((n, "3.0") for n in MODELS), *((n, "2.0") for n in BOTH)])
+@pytest.mark.parametrize(
+    ("name", "version"),
+    longer(
+        [*((n, "3.0") for n in MODELS), *((n, "2.0") for n in BOTH)],
+        *(("dc_motor", "2.0"), ("four_particle", "3.0"), ("bouncing_ball", "3.0"), ("clutch_engagement", "3.0")),
+        *(("breaker_opening", "3.0"), ("rectifier", "2.0")),
+    ),
+)
 def test_forged_states(sanitizers: str, tmp_path: Path, name: str, version: str) -> None:
     scheme, step, nodes = MODELS[name]
     found = build(name)
