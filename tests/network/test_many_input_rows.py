@@ -18,6 +18,7 @@ from phfmu.runs import input_rows
 from phfmu.runs.input_rows import InputRows
 from phfmu.runs.loop import segments
 from phfmu.runs.stretches import stretches
+from tests.wide import longer
 
 ROWS, STEP, MOST = 3_000_000, 1e-3, 300  # MB
 
@@ -94,9 +95,8 @@ def test_rows_on_the_grid_give_the_sums_that_they_are() -> None:
     assert np.array_equal(result.column(name)[1:], force)
 
 
-@pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="resident memory is told by Linux")
-@pytest.mark.parametrize("kind", ["parquet", "csv"])
+@pytest.mark.parametrize("kind", longer(["parquet", "csv"], "parquet"))
 def test_three_million_rows_in_300_mb(tmp_path: Path, kind: str) -> None:
     """Resident memory of the whole process, most of which are its libraries; the end against the sum of the rows."""
     time, force = np.arange(ROWS) * STEP, np.sin(np.arange(ROWS) * 0.37)

@@ -15,6 +15,7 @@ from phfmu import (
     Monolithic,
     NativeInstance,
     Options,
+    PythonInstance,
     Radau,
     build_model,
     run,
@@ -28,7 +29,7 @@ from phfmu.network.couplings.unconverged import Halving
 from tests.engines import ENGINES
 from tests.events.stiff_fault import EVENTS, FAULT, STEP, STOP, T_FAULT, exact, network
 from tests.network.both_loops import called_back
-from tests.wide import slow, wide
+from tests.wide import longer, slow, wide
 
 
 def apart(net: Any, scheme: Any, engine: Any = NativeInstance, coupling: Any = newton, **more: Any) -> Coupled:
@@ -51,8 +52,13 @@ def require_same(a: Any, b: Any, names: list[str]) -> None:
     assert a.restarted == b.restarted
 
 
-@pytest.mark.parametrize("engine", wide(ENGINES, NativeInstance))
-@pytest.mark.parametrize("k", wide([1, 2, 3], 1))
+@pytest.mark.parametrize(
+    ("engine", "k"),
+    [
+        (NativeInstance, 1), slow((NativeInstance, 2)), slow((NativeInstance, 3)),
+        *longer(((PythonInstance, k) for k in (1, 2, 3)), (PythonInstance, 2)),
+    ],
+)  # fmt: skip
 def test_a_fault_at_a_bare_node_is_damped_as_composed(k: int, engine: Any) -> None:
     """T = 14 us in steps of 100 us; without damping the charge of the load is off by more than its size a step later."""
     scene = build("two_machine")
