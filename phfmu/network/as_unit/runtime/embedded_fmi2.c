@@ -21,11 +21,10 @@ typedef struct life {
     fmi2DeSerializeFMUstateTYPE *DeSerializeFMUstate;
 } life;
 
-#define FOUND(e, of, name) ph_embedded_function(e, "fmi2" #name, &(of)->name, sizeof((of)->name))
-#define ASK(e, name, ...)                                                                                    \
-    (ph_unit_begin(&(e)->unit, "fmi2" #name)                                                                 \
-         ? ph_unit_answer(&(e)->unit, (int)((life *)(e)->life)->name(__VA_ARGS__))                           \
-         : PH_REFUSED)
+#define FMI "fmi2"
+#define COUNT
+typedef int by_reference(void *, const unsigned *, size_t, void *);
+#include "embedded_calls.inc"
 
 static void hear(fmi2ComponentEnvironment of, fmi2String name, fmi2Status status, fmi2String category,
                  fmi2String format, ...) {
@@ -79,42 +78,6 @@ static int enter(ph_embedded_unit *e, double start) {
     return status ? status : ASK(e, EnterInitializationMode, e->unit.instance);
 }
 
-/* One value, of any type: its functions differ in that alone. */
-static int set(ph_embedded_unit *e, const ph_typed *start) {
-    int (*call)(void *, const unsigned *, size_t, const void *);
-    char name[32];
-    snprintf(name, sizeof(name), "fmi2%s", start->function);
-    if (!ph_embedded_function(e, name, &call, sizeof(call)) || !ph_unit_begin(&e->unit, start->function))
-        return PH_REFUSED;
-    return ph_unit_answer(&e->unit, call(e->unit.instance, &start->reference, 1, start->value));
-}
-
-static int find(ph_embedded_unit *e, const ph_typed *told, ph_reader *to) {
-    char name[32];
-    snprintf(name, sizeof(name), "fmi2%s", told->function);
-    return ph_embedded_function(e, name, to, sizeof(*to)) ? PH_OK : PH_UNIT;
-}
-
-static int get(ph_embedded_unit *e, const ph_typed *told, ph_reader by, void *value) {
-    int (*call)(void *, const unsigned *, size_t, void *) =
-        (int (*)(void *, const unsigned *, size_t, void *))by;
-    if (!ph_unit_begin(&e->unit, told->function))
-        return PH_REFUSED;
-    return ph_unit_answer(&e->unit, call(e->unit.instance, &told->reference, 1, value));
-}
-
-static int leave(ph_embedded_unit *e) {
-    return ASK(e, ExitInitializationMode, e->unit.instance);
-}
-
-static int reset(ph_embedded_unit *e) {
-    return ASK(e, Reset, e->unit.instance);
-}
-
-static void end(ph_embedded_unit *e) {
-    ((life *)e->life)->FreeInstance(e->unit.instance);
-}
-
 static void forget(ph_embedded_unit *e, void **state) {
     ASK(e, FreeFMUstate, e->unit.instance, state);
 }
@@ -132,7 +95,7 @@ static int read(ph_embedded_unit *e, const char *bytes, size_t n, void **state) 
 }
 
 const ph_standard *ph_standard_fmi2(void) {
-    static const ph_standard standard = {ph_unit_fmi2, bind,  begin, enter,  set,  find,  get,
+    static const ph_standard standard = {ph_unit_fmi2, bind,  begin, enter,  set,  find,  pass,
                                          leave,        reset, end,   forget, size, write, read};
     return &standard;
 }

@@ -18,11 +18,10 @@ typedef struct life {
     fmi3DeserializeFMUStateTYPE *DeserializeFMUState;
 } life;
 
-#define FOUND(e, of, name) ph_embedded_function(e, "fmi3" #name, &(of)->name, sizeof((of)->name))
-#define ASK(e, name, ...)                                                                                    \
-    (ph_unit_begin(&(e)->unit, "fmi3" #name)                                                                 \
-         ? ph_unit_answer(&(e)->unit, (int)((life *)(e)->life)->name(__VA_ARGS__))                           \
-         : PH_REFUSED)
+#define FMI "fmi3"
+#define COUNT , 1
+typedef int by_reference(void *, const unsigned *, size_t, void *, size_t);
+#include "embedded_calls.inc"
 
 static void hear(fmi3InstanceEnvironment of, fmi3Status status, fmi3String category, fmi3String text) {
     (void)status;
@@ -67,42 +66,6 @@ static int enter(ph_embedded_unit *e, double start) {
                0.0);
 }
 
-/* One value, of any type: its functions differ in that alone. */
-static int set(ph_embedded_unit *e, const ph_typed *start) {
-    int (*call)(void *, const unsigned *, size_t, const void *, size_t);
-    char name[32];
-    snprintf(name, sizeof(name), "fmi3%s", start->function);
-    if (!ph_embedded_function(e, name, &call, sizeof(call)) || !ph_unit_begin(&e->unit, start->function))
-        return PH_REFUSED;
-    return ph_unit_answer(&e->unit, call(e->unit.instance, &start->reference, 1, start->value, 1));
-}
-
-static int find(ph_embedded_unit *e, const ph_typed *told, ph_reader *to) {
-    char name[32];
-    snprintf(name, sizeof(name), "fmi3%s", told->function);
-    return ph_embedded_function(e, name, to, sizeof(*to)) ? PH_OK : PH_UNIT;
-}
-
-static int get(ph_embedded_unit *e, const ph_typed *told, ph_reader by, void *value) {
-    int (*call)(void *, const unsigned *, size_t, void *, size_t) =
-        (int (*)(void *, const unsigned *, size_t, void *, size_t))by;
-    if (!ph_unit_begin(&e->unit, told->function))
-        return PH_REFUSED;
-    return ph_unit_answer(&e->unit, call(e->unit.instance, &told->reference, 1, value, 1));
-}
-
-static int leave(ph_embedded_unit *e) {
-    return ASK(e, ExitInitializationMode, e->unit.instance);
-}
-
-static int reset(ph_embedded_unit *e) {
-    return ASK(e, Reset, e->unit.instance);
-}
-
-static void end(ph_embedded_unit *e) {
-    ((life *)e->life)->FreeInstance(e->unit.instance);
-}
-
 static void forget(ph_embedded_unit *e, void **state) {
     ASK(e, FreeFMUState, e->unit.instance, state);
 }
@@ -120,7 +83,7 @@ static int read(ph_embedded_unit *e, const char *bytes, size_t n, void **state) 
 }
 
 const ph_standard *ph_standard_fmi3(void) {
-    static const ph_standard standard = {ph_unit_fmi3, bind,  begin, enter,  set,  find,  get,
+    static const ph_standard standard = {ph_unit_fmi3, bind,  begin, enter,  set,  find,  pass,
                                          leave,        reset, end,   forget, size, write, read};
     return &standard;
 }

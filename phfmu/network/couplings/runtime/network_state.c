@@ -225,9 +225,8 @@ void ph_whole_forget(void *of, void *state) {
     }
 }
 
-/* Of each member that keeps something: how many bytes, then these. */
-int ph_whole_held_size(void *of, void *state, size_t *n) {
-    const ph_whole *w = of;
+/* Of each member that keeps something: how many bytes, then these; without room, their size alone. */
+static int held(const ph_whole *w, void *state, char *bytes, size_t *n) {
     int status = PH_OK;
     *n = 0;
     for (int i = 0; i < w->about->nmember && status == PH_OK; i++) {
@@ -236,26 +235,22 @@ int ph_whole_held_size(void *of, void *state, size_t *n) {
         if (!m->map->held_size)
             continue;
         status = m->map->held_size(m->of, member_state(w, i, state), &own);
+        if (bytes && status == PH_OK) {
+            memcpy(bytes + *n, &own, sizeof(own));
+            status = m->map->write_held(m->of, member_state(w, i, state), bytes + *n + sizeof(own));
+        }
         *n += sizeof(own) + own;
     }
     return status;
 }
 
+int ph_whole_held_size(void *of, void *state, size_t *n) {
+    return held(of, state, NULL, n);
+}
+
 int ph_whole_write_held(void *of, void *state, char *bytes) {
-    const ph_whole *w = of;
-    int status = PH_OK;
-    for (int i = 0; i < w->about->nmember && status == PH_OK; i++) {
-        const ph_whole_member *m = &w->members[i];
-        size_t own = 0;
-        if (!m->map->held_size)
-            continue;
-        status = m->map->held_size(m->of, member_state(w, i, state), &own);
-        memcpy(bytes, &own, sizeof(own));
-        if (status == PH_OK)
-            status = m->map->write_held(m->of, member_state(w, i, state), bytes + sizeof(own));
-        bytes += sizeof(own) + own;
-    }
-    return status;
+    size_t n;
+    return held(of, state, bytes, &n);
 }
 
 /* Where one refuses its part, nothing is kept of any. */
