@@ -139,24 +139,21 @@ def _gradients(args: argparse.Namespace) -> int:
 
 
 def _blame(args: argparse.Namespace) -> int:
-    from pathlib import Path
-
-    from phfmu.cli.codes import FINE
-    from phfmu.studies.blame.report import measure, page, summary, table
+    from phfmu.studies.blame.report import Found, measure, page, summary, table
 
     seeds = _numbers("--seeds", args.seeds)
     if any(s != int(s) for s in seeds) or args.cases < 1:
         raise ValueError(
             f"--seeds {args.seeds} --cases {args.cases}: expected positive whole numbers, e.g. --seeds 1,2 --cases 200"
         )
-    with Line() as progress:
-        found = [measure(int(s), args.cases, progress) for s in seeds]
-    if args.output:
-        Path(args.output).write_text(page(found), encoding="utf-8")
-        print(f"page: {args.output}")
-        return FINE
-    print("\n\n".join(f"{summary(f)}\n\n{table(f)}" for f in found))
-    return FINE
+
+    def found(progress: Line) -> list[Found]:
+        return [measure(int(s), args.cases, progress) for s in seeds]
+
+    def tables(progress: Line) -> str:
+        return "\n\n".join(f"{summary(f)}\n\n{table(f)}" for f in found(progress))
+
+    return _paged(args, lambda progress: page(found(progress)), tables)
 
 
 def _paged(args: argparse.Namespace, page: Callable[..., str], table: Callable[..., str]) -> int:

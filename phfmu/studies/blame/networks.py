@@ -17,6 +17,7 @@ import numpy as np
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import Port
 from phfmu.declare.variable import parameter, time
+from phfmu.network.couplings import coupling_table
 from phfmu.network.network import Network
 
 #: kinds of networks, by the kinds of their stores
@@ -81,7 +82,7 @@ class _Tree:
         for name, ends in self._ends.items():
             self._net.junction(name, ends)
         booked = frozenset(m for m in self._members if m == driven or rng.random() < 0.5)
-        repeats = coupling in ("newton", "anderson")
+        repeats = coupling_table.COUPLINGS[coupling].kind.repeats
         step = float(rng.choice(STEP_SIZES[repeats]))
         unconverged = "accept" if repeats and rng.random() < 0.25 else "raise"
         return Drawn(self._net, kind, coupling, unconverged, step, booked, driven, self._dampers)
