@@ -10,6 +10,7 @@ import numpy as np
 from phfmu import NativeInstance, Options, build_model, default_scheme, run
 from phfmu.derivatives.sensitive import SensitiveSteps
 from phfmu.network.couplings.monolithic import Monolithic
+from phfmu.runs.result import Result
 from phfmu.signals import derivative_name
 
 
@@ -22,6 +23,14 @@ def richardson(values: Callable[[float], np.ndarray], at: float, step: float) ->
             row.append(row[j] + (row[j] - table[level - 1][j]) / (4 ** (j + 1) - 1))
         table.append(row)
     return table[-1][-1]
+
+
+def largest(result: Result) -> dict[str, float]:
+    """The largest size of a value of a run in each unit of measurement."""
+    found = dict[str, float]()
+    for unit, column in zip(result.units, result.values.T, strict=True):
+        found[unit] = max(found.get(unit, 0.0), float(np.abs(column).max()))
+    return found
 
 
 def worst(
@@ -37,9 +46,7 @@ def worst(
     stepper = SensitiveSteps(model, engine(model), by)
     found, errors = run(stepper, options), {}
     plain = run(Monolithic(model, engine(model)), options)
-    size_of = dict[str, float]()  # of each unit of measurement
-    for unit, column in zip(plain.units, plain.values.T, strict=True):
-        size_of[unit] = max(size_of.get(unit, 0.0), float(np.abs(column).max()))
+    size_of = largest(plain)
     for name in stepper.by.names:
         base = (known | held)[name]
 

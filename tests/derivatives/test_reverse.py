@@ -17,7 +17,7 @@ from phfmu.derivatives.taped import TapedSteps
 from phfmu.engine.switched import stepped
 from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.network.members.columns import Columns
-from tests.derivatives.differences import richardson
+from tests.derivatives.differences import largest, richardson
 from tests.derivatives.test_tangents import SCENES
 from tests.wide import wide
 
@@ -102,9 +102,7 @@ def test_every_scene_backwards_is_forward(name: str) -> None:
     a, b = (gradient(model, NativeInstance(model), options, of, by, mode=m) for m in ("forward", "reverse"))
     sizes = np.array([abs(known(d)[n]) or 1.0 for n in by])
     plain = run(Monolithic(model, NativeInstance(model)), options)
-    most = dict[str, float]()  # of each unit of measurement
-    for unit, column in zip(plain.units, plain.values.T, strict=True):
-        most[unit] = max(most.get(unit, 0.0), float(np.abs(column).max()))
+    most = largest(plain)
     kind = np.repeat([most[plain.units[plain.names.index(c)]] for c in columns], 2)
     rounding = np.abs(a.slopes * sizes).max(axis=1) <= 1e-9 * kind + 1e-12
     assert differ(a.slopes[~rounding], b.slopes[~rounding], sizes) < 1e-11
