@@ -83,7 +83,8 @@ class Outputs:
 
     def begin(self, about: dict[str, str], shapes: tuple[Shape, ...] = ()) -> None:
         """Open the audit of a run with these shapes; pictures are called by what `about` tells."""
-        self._title, self._target, self._shapes = ": ".join(about.values()), about["target"], shapes
+        self._title = f"{about['target']}: {about['run']}{about['kernels']}"
+        self._target, self._shapes = about["target"], shapes
         if self._audit_path:
             from phfmu.audit import AuditWriter
 
