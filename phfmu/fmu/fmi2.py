@@ -35,8 +35,11 @@ CAPABILITIES = {
     "canSerializeFMUstate": "true",
     "providesDirectionalDerivative": "true",
 }
-#: where the unit tells no derivatives
-UNDERIVED = {"providesDirectionalDerivative": "false"}
+#: what a unit has -> the capabilities that need it
+NEEDS = {
+    "derives": ("providesDirectionalDerivative",), "saves": ("canGetAndSetFMUstate",),
+    "serialises": ("canSerializeFMUstate",), "varies": ("canHandleVariableCommunicationStepSize",),
+}  # fmt: skip
 
 
 #: kinds of the status of a step
@@ -49,7 +52,7 @@ def model_description(
     """The document; without `token` (attribute, value) it is the text the token is made of.  `sources`: files to compile."""
     root = description.root(unit, number, token)
     interface = etree.SubElement(root, "CoSimulation", modelIdentifier=unit.identifier, needsExecutionTool="false")
-    for name, value in _abilities(unit).items():
+    for name, value in unit.capabilities(CAPABILITIES, NEEDS).items():
         interface.set(name, value)
     if sources:
         files = etree.SubElement(interface, "SourceFiles")
@@ -73,14 +76,6 @@ def model_description(
             unknown.set("dependencies", "")
         etree.SubElement(unknowns, "Unknown", index=place[reference])
     return text_of(root)
-
-
-def _abilities(unit: Unit) -> dict[str, str]:
-    """CAPABILITIES, less what this one has not."""
-    absent = {} if unit.derives else UNDERIVED
-    absent = absent | ({} if unit.saves else {"canGetAndSetFMUstate": "false"})
-    absent = absent | ({} if unit.serialises else {"canSerializeFMUstate": "false"})
-    return CAPABILITIES | absent | ({"canHandleVariableCommunicationStepSize": "false"} if unit.one_step else {})
 
 
 def _variable(parent: Element, reference: int, v: FMUVariable) -> None:

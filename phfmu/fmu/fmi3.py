@@ -30,8 +30,11 @@ CAPABILITIES = {
     "canReturnEarlyAfterIntermediateUpdate": "false",
     "hasEventMode": "false",
 }
-#: where the unit tells no derivatives
-UNDERIVED = dict.fromkeys(("providesDirectionalDerivatives", "providesAdjointDerivatives"), "false")
+#: what a unit has -> the capabilities that need it
+NEEDS = {
+    "derives": ("providesDirectionalDerivatives", "providesAdjointDerivatives"), "saves": ("canGetAndSetFMUState",),
+    "serialises": ("canSerializeFMUState",), "varies": ("canHandleVariableCommunicationStepSize",),
+}  # fmt: skip
 
 
 def model_description(
@@ -44,7 +47,7 @@ def model_description(
     del sources
     root = description.root(unit, number, token)
     interface = etree.SubElement(root, "CoSimulation", modelIdentifier=unit.identifier, needsExecutionTool="false")
-    for name, value in _abilities(unit).items():
+    for name, value in unit.capabilities(CAPABILITIES, NEEDS).items():
         interface.set(name, value)
     description.add_units(root, unit)
     description.add_log_categories(root)
@@ -63,14 +66,6 @@ def model_description(
             if tag == "Output" and not any(unit.direct(v) for v in _entries(unit, reference)):
                 unknown.set("dependencies", "")
     return text_of(root)
-
-
-def _abilities(unit: Unit) -> dict[str, str]:
-    """CAPABILITIES, less what this one has not."""
-    absent = {} if unit.derives else UNDERIVED
-    absent = absent | ({} if unit.saves else {"canGetAndSetFMUState": "false"})
-    absent = absent | ({} if unit.serialises else {"canSerializeFMUState": "false"})
-    return CAPABILITIES | absent | ({"canHandleVariableCommunicationStepSize": "false"} if unit.one_step else {})
 
 
 def _entries(unit: Unit, reference: int) -> tuple[FMUVariable, ...]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cached_property
@@ -104,17 +104,26 @@ class Unit:
 
     @property
     def saves(self) -> bool:
-        """Whether its state can be saved and restored; `serialises`: and become bytes."""
+        """Whether its state can be saved and restored."""
         return True
 
     @property
     def serialises(self) -> bool:
+        """Whether its state can become bytes."""
         return True
 
     @property
-    def one_step(self) -> bool:
-        """Whether all of its steps have to be equal."""
-        return False
+    def varies(self) -> bool:
+        """Whether its steps may differ in length."""
+        return True
+
+    def capabilities(self, every: Mapping[str, str], needs: Mapping[str, Sequence[str]]) -> dict[str, str]:
+        """Attributes of its description: `every`, of which those that need what it has not are false.
+
+        `needs`: derives, saves, serialises or varies -> attributes.
+        """
+        lacking = (n for what, names in needs.items() if not getattr(self, what) for n in names)
+        return {**every, **dict.fromkeys(lacking, "false")}
 
     def drivers(self) -> dict[str, Path]:
         """Files of what drives the steps of its models, if it has such."""

@@ -121,8 +121,8 @@ class NetworkUnit(Unit):
         return self.saves and all(m.file.interface.serialises for m in self.units)
 
     @property
-    def one_step(self) -> bool:
-        return any(m.file.interface.one_step for m in self.units)
+    def varies(self) -> bool:
+        return not any(m.file.interface.one_step for m in self.units)
 
     def resources(self, platforms: Sequence[str]) -> dict[str, bytes]:
         return {n: data for m in self.units for n, data in m.files(platforms).items()}
