@@ -47,6 +47,11 @@ static size_t size(const void *about) {
     return sizeof(ph_embedded_unit);
 }
 
+/* Values of the rows of the ledger, which stand one behind the other: a pair for each input, else one. */
+static int rows_of(const ph_embedded_about *a) {
+    return PH_NROW - 1 + a->nu;
+}
+
 static double *taken(double **from, int n) {
     double *to = *from;
     *from += n;
@@ -71,7 +76,7 @@ static int init(void *memory, const void *about) {
     e->standard = a->standard();
     sizes(about, &s);
     ph_places(&s, e->offset);
-    e->nvalue = 1 + e->offset[PH_NBLOCK] + 5 + a->nu + a->np + a->nu + a->nlooked + a->nu;
+    e->nvalue = 1 + e->offset[PH_NBLOCK] + rows_of(a) + a->np + a->nu + a->nlooked + a->nu;
     e->memory = calloc((size_t)(2 * e->nvalue + a->input.nvalue + a->looked.nvalue + a->told.nvalue +
                                 a->nlooked + a->nu + 1),
                        sizeof(double));
@@ -173,13 +178,11 @@ static int reset(void *of) {
     return PH_OK;
 }
 
-/* Outputs of ports now, and the energy. */
+/* Outputs of ports now, in the table; displacements stand behind them. */
 int ph_embedded_look_now(ph_embedded_unit *e) {
-    const ph_scalars *s = &e->looked;
-    const int status = get(e, s);
-    for (int i = 0; i < s->n && status == PH_OK; i++)
-        if (s->at[i] < e->about->nu)
-            e->table[e->offset[PH_Y_END] + s->at[i]] = s->value[s->place[i]] * s->sign[i];
+    const int status = ph_embedded_look(e, e->now);
+    if (status == PH_OK)
+        memcpy(e->table + e->offset[PH_Y_END], e->now, sizeof(double) * (size_t)e->about->nu);
     return status;
 }
 
@@ -360,24 +363,25 @@ static const ph_report *report(const void *of) {
 
 /* Rows of the ledger, then means, of steps that are told as one. */
 static int kept_size(const void *about) {
-    return 5 + 2 * ((const ph_embedded_about *)about)->nu;
+    const ph_embedded_about *a = about;
+    return rows_of(a) + a->nu;
 }
 
 static void keep_rows(const void *of, double *kept) {
     const ph_embedded_unit *e = of;
-    const size_t n = 5 + (size_t)e->about->nu;
+    const size_t n = (size_t)rows_of(e->about);
     memcpy(kept, e->row[0], sizeof(double) * n);
     memcpy(kept + n, e->table + e->offset[PH_Y_STEP], sizeof(double) * (size_t)e->about->nu);
 }
 
 static void join(void *of, const double *kept, double part) {
     ph_embedded_unit *e = of;
-    const int nu = e->about->nu;
+    const int n = rows_of(e->about);
     double *mean = e->table + e->offset[PH_Y_STEP];
-    for (int i = 0; i < 5 + nu; i++)
+    for (int i = 0; i < n; i++)
         e->row[0][i] += kept[i];
-    for (int i = 0; i < nu; i++)
-        mean[i] = part * kept[5 + nu + i] + (1.0 - part) * mean[i];
+    for (int i = 0; i < e->about->nu; i++)
+        mean[i] = part * kept[n + i] + (1.0 - part) * mean[i];
 }
 
 const ph_step_map *ph_map_embedded(void) {
