@@ -17,6 +17,7 @@ from tests.fmu.other_hosts import READ, run_elsewhere
 from tests.fmu.public_units import public
 from tests.fmu.test_fmu_hosts import SCRIPTS
 from tests.network.test_network_unit import Importer, importer
+from tests.network.test_network_unit import driven as driven_over
 from tests.network.test_quarter_truck import CHASSIS, FINE, WHEEL
 from tests.network.test_quarter_truck import SCENE as TRUCK
 from tests.network.unit_members import pump_folder
@@ -60,18 +61,25 @@ def driven():
 
 
 def signals():
+    # rod is a lag, x' = a x + b r, s = c x: between units, from and to own members, into a port and an input without power
     net = Network("signals")
     net.add("pump", "pump.fmu")
     net.add("rod", "rod.fmu")
-    net.add("cart", mass(2.0))
-    net.junction("a", ["pump.flange", "cart.flange"])
-    net.signal("pump.q", "rod.r")
-    return Scene("signals", net, stop=0.4, step=0.01)
+    net.add("cart", mass(2.0, q=0.3))
+    net.add("spring", spring(40.0, elongation=0.3))
+    net.add("load", mass(0.5, k=20.0, d=0.5))
+    net.junction("a", ["pump.flange", "spring.a"])
+    net.junction("b", ["cart.flange", "spring.b"])
+    net.signal("pump.q", "rod.r", factor=2.0, offset=0.1)
+    net.signal("rod.s", "load.flange.force", factor=-1.0)
+    net.signal("load.v", "pump.u")
+    return Scene("signals", net, stop=0.4, step=0.01, events=[Event(0.2, "load.m", 0.8)])
 """
 #: of the mass a spring to the ground; of the rod, s = 40 x, x' = r, with a damper
 STARTS = {
     "mixed": ["--set=pump.k=5"],
     "foreign": ["--set=pump.q=0.1", "--set=pump.k=5", "--set=rod.b=1", "--set=rod.c=40"],
+    "signals": ["--set=pump.k=5", "--set=rod.a=-3", "--set=rod.b=2", "--set=rod.c=10"],
 }
 N = 40
 
@@ -102,20 +110,17 @@ def table(target: str, h: float, n: int, *options: str) -> dict[str, np.ndarray]
 
 
 def driven(path: Path, h: float, n: int, names: list[str]) -> np.ndarray:
-    with importer(path) as unit:
-        rows = [unit.get(names)]
-        for k in range(n):
-            unit.step(k * h, h)
-            rows.append(unit.get(names))
-        return np.array(rows)
+    return driven_over(path, h, n, (), names)
 
 
-def equal_to_the_bit(path: Path, rows: dict[str, np.ndarray], h: float, least: int) -> None:
+def equal_to_the_bit(
+    path: Path, rows: dict[str, np.ndarray], h: float, least: int, events: tuple[float, ...] = ()
+) -> None:
     """From the first step on: before it, a coupling that iterates tells what its trial step found."""
     there = {v.name for v in fmpy.read_model_description(path, validate=True).modelVariables}
     names = [n for n in rows if n in there and n != "time" and not n.startswith("energy.")]
     assert len(names) >= least and all("_end" in n for n in rows if n not in there and n != "time")
-    found = driven(path, h, len(rows["time"]) - 1, names)
+    found = driven_over(path, h, len(rows["time"]) - 1, events, names)
     for i, name in enumerate(names):
         np.testing.assert_array_equal(found[1:, i], rows[name][1:], err_msg=name)
 
@@ -174,6 +179,38 @@ def test_steps_are_repeated_as_the_unit_can(folder: Path, keeps: int) -> None:
     equal_to_the_bit(exported(folder, "mixed", *how), table(f"{folder}/scene.py:mixed", 0.01, N, *how), 0.01, 20)
 
 
+#: coupling, order, version of the unit
+SIGNALS = [(c, k, o) for c in ("gauss-seidel", "jacobi", "anderson") for k in (2, 4, 6) for o in "23"]
+
+
+@pytest.mark.parametrize(
+    ("inner", "case"), turning(["2.0", "3.0"], SIGNALS, ("2.0", ("gauss-seidel", 2, "3"))), ids=str
+)
+def test_signals_are_held_as_in_the_run(folder: Path, inner: str, case: tuple[str, int, str]) -> None:
+    """Extrapolated over each step; a parameter of a member that changes starts them anew."""
+    coupling, order, outer = case
+    with_signals(folder, inner)
+    how = ["--coupling", coupling, "--order", str(order), *STARTS["signals"]]
+    path = exported(folder, "signals", *how, "--events", "inside", version=outer)
+    rows = table(f"{folder}/scene.py:signals", 0.01, N, *how, "--restart", "0")
+    equal_to_the_bit(path, rows, 0.01, 30, (0.2,))
+    about = {v.name: v.causality for v in fmpy.read_model_description(path).modelVariables}
+    assert [about[n] for n in ("rod.r", "pump.u", "load.flange.force", "pump.q")] == ["local"] * 3 + ["output"]
+    assert np.ptp(rows["load.q"]) > 0.03 and np.ptp(rows["pump.y"]) > 0.3
+
+
+def with_signals(folder: Path, version: str, abilities: str = "") -> None:
+    own = abilities.replace("FMUState", "FMUstate")
+    foreign.unit(folder / "rod.fmu", "2.0", foreign.FIRST_ORDER, saves=True, abilities=own)
+    others = OTHERS if version == "2.0" else MORE
+    variables = foreign.MASS[version].format(unit="N") + others
+    foreign.unit(folder / "pump.fmu", version, variables, saves=True, abilities=abilities)
+
+
+MORE = """
+<Float64 name="u" valueReference="1" causality="input" start="0.5"/>
+<Float64 name="y" valueReference="2" causality="output"/>
+"""
 OTHERS = """
 <ScalarVariable name="u" valueReference="1" causality="input"><Real start="0.5"/></ScalarVariable>
 <ScalarVariable name="y" valueReference="2" causality="output"><Real/></ScalarVariable>
@@ -235,11 +272,15 @@ def states(unit: Importer, version: str) -> Any:
     return get, getattr(u, f"set{word}"), free, getattr(u, f"serialize{word}"), read
 
 
-@pytest.mark.parametrize(("version", "inner", "coupling"), [("2", "3.0", "jacobi"), ("3", "2.0", "newton")])
-def test_saved_states_come_back_to_the_bit(folder: Path, version: str, inner: str, coupling: str) -> None:
+@pytest.mark.parametrize(
+    ("version", "inner", "coupling", "scene"),
+    [("2", "3.0", "jacobi", "mixed"), ("3", "2.0", "newton", "mixed"), ("3", "3.0", "gauss-seidel", "signals")],
+)
+def test_saved_states_come_back_to_the_bit(folder: Path, version: str, inner: str, coupling: str, scene: str) -> None:
     """Also as bytes, in another instance; what is damaged, cut or of another unit is refused."""
-    units(folder, inner, abilities=f'canSerializeFMU{"S" if inner == "3.0" else "s"}tate="true"')
-    path = exported(folder, "mixed", "--coupling", coupling, *STARTS["mixed"], version=version)
+    made = with_signals if scene == "signals" else units
+    made(folder, inner, abilities=f'canSerializeFMU{"S" if inner == "3.0" else "s"}tate="true"')
+    path = exported(folder, scene, "--coupling", coupling, *STARTS[scene], version=version)
     with importer(path) as unit, importer(path) as other:
         names = [n for n in unit.refs if n != "time"]
         get, set_, free, serialise, _ = states(unit, version)
@@ -350,10 +391,17 @@ def test_refused(folder: Path, how: dict[str, Any], options: tuple[str, ...], sa
     assert said in capsys.readouterr().err and not (folder / "out").exists()
 
 
-def test_signals_over_a_step_and_own_units_are_refused(folder: Path, capsys: Any) -> None:
-    units(folder, "2.0")
+def test_iterated_signals_and_own_units_are_refused(folder: Path, capsys: Any) -> None:
+    with_signals(folder, "2.0")
+    assert main(["export", f"{folder}/scene.py:signals", "--as-unit", "--coupling", "newton", "-o", str(folder)]) == 2
+    said = capsys.readouterr().err
+    assert "signals of pump, rod would be iterated to agreement" in said and "take --coupling gauss-seidel" in said
+    scene = (
+        (folder / "scene.py").read_text().replace('"pump.q", "rod.r", factor=2.0, offset=0.1', '"pump.flag", "rod.r"')
+    )
+    (folder / "scene.py").write_text(scene)
     assert main(["export", f"{folder}/scene.py:signals", "--as-unit", "--coupling", "jacobi", "-o", str(folder)]) == 2
-    assert "exchange signals that are held over a step; units inside take none" in capsys.readouterr().err
+    assert "pump: the signal flag is no scalar of type Float64" in capsys.readouterr().err
     assert main(["export", "mass", "--fmi", "2", "-o", str(folder)]) == 0
     shutil.move(folder / "mass_fmi2.fmu", folder / "pump.fmu")
     (folder / "pump.ports.toml").unlink()
@@ -366,12 +414,15 @@ def test_signals_over_a_step_and_own_units_are_refused(folder: Path, capsys: Any
 SANITIZED = """
 import json, sys
 from pathlib import Path
-from tests.network.test_embedded_units import SCENE, STARTS, driven, exported, importer, states, units
+from tests.network.test_embedded_units import SCENE, STARTS, driven, exported, importer, states, units, with_signals
 from tests.network.unit_members import pump_folder
 folder = pump_folder(Path(%r), "scene.py", SCENE)
-for inner, coupling, outer in (("2.0", "newton", "3"), ("3.0", "jacobi", "2")):
-    units(folder, inner, abilities=f'canSerializeFMU{"S" if inner == "3.0" else "s"}tate="true"')
-    path = exported(folder, "mixed", "--coupling", coupling, *STARTS["mixed"], version=outer)
+for inner, coupling, outer, scene in (
+    ("2.0", "newton", "3", "mixed"), ("3.0", "jacobi", "2", "mixed"), ("3.0", "gauss-seidel", "2", "signals")
+):
+    made = with_signals if scene == "signals" else units
+    made(folder, inner, abilities=f'canSerializeFMU{"S" if inner == "3.0" else "s"}tate="true"')
+    path = exported(folder, scene, "--coupling", coupling, *STARTS[scene], version=outer)
     with importer(path) as unit:
         get, set_, free, serialise, read = states(unit, outer)
         first = get()

@@ -207,7 +207,8 @@ def _event_groups(plan: EventPlan, index: Callable[[Kernel], int]) -> list[tuple
 
 def array_text(ctype: str, name: str, values: NDArray[Any]) -> str:
     """C text of a constant array."""
-    items = ["INFINITY" if v == inf else repr(v) for v in values.tolist()]
+    infinite = {inf: "INFINITY", -inf: "-INFINITY"}
+    items = [infinite.get(v) or repr(v) for v in values.tolist()]
     lines, line = [], "   "
     for item in items:
         if len(line) + len(item) + 2 > 110:

@@ -29,6 +29,7 @@ from phfmu.fmu.words import c_string
 from phfmu.fmu.xml import number
 from phfmu.network.members.fmu_member import FMUMember
 from phfmu.network.network import Network
+from phfmu.network.wires import Wire
 from phfmu.signals import Causality, Quantity, port_energy, total
 
 #: what is told of the energy of one: name after `energy.`, block, meaning
@@ -51,7 +52,7 @@ def require_embeddable(network: Network, platforms: Sequence[str]) -> None:
     problems = [
         f"{name}: {problem}"
         for name, f in network.units.items()
-        if (problem := _problem(f, open_archive(f.path), platforms))
+        if (problem := _problem(f, open_archive(f.path), platforms) or _of_signals(name, f, network.wires))
     ]
     if problems:
         raise FMUError(f"{network.name}: " + "; ".join(problems))
@@ -80,6 +81,13 @@ def _problem(file: UnitFile, archive: Archive, platforms: Sequence[str]) -> str:
     return ""
 
 
+def _of_signals(name: str, file: UnitFile, wires: Sequence[Wire]) -> str:
+    own = [w.output for w in wires if w.source == name] + [w.input for w in wires if w.target == name]
+    known = file.interface.variables
+    bad = [n for n in own if n not in known or known[n].size or known[n].type != "Float64"]
+    return f"the signal {bad[0]} is no scalar of type Float64" if bad else ""
+
+
 def library_of(archive: Archive, platform: str) -> str | None:
     """Name in the archive of the library for a key of PLATFORMS."""
     return archive.library_for(platform, suffix(PLATFORMS[platform]))
@@ -100,13 +108,15 @@ def _more(names: Sequence[str]) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Embedded:
-    """A unit of another tool as a member: what the run steps, and its file.
+    """A unit of another tool as a member: what the run steps, its file, and its held signals by their names.
 
     `step`, `instant`: lengths of its blocks, as those of a model.
     """
 
     member: FMUMember
     file: UnitFile
+    sent: tuple[str, ...] = ()
+    taken: tuple[str, ...] = ()
 
     @property
     def name(self) -> str:
@@ -221,6 +231,7 @@ class Embedded:
             "input": scalars("input", values.u.scalars, values.input_sign),
             "looked": scalars("looked", outputs, np.append(values.output_sign, values.displacement_sign)),
             "told": scalars("told", (own := [v for v in self.told if v.type == "Float64"]), np.ones(len(own))),
+            "sent": scalars("sent", [about.variables[n] for n in self.sent], np.ones(len(self.sent))),
         }
         settable = [scalars(f"set{i}", [v], np.ones(1)) for i, v in enumerate(self.settable)]
         texts.append(f"static const ph_scalars {symbol}_settable[] = {{{', '.join(settable) or '{0}'}}};\n")
@@ -235,6 +246,7 @@ class Embedded:
             "given": ("int", np.array([v.name in self.file.starts for v in self.settable], np.int32)),
             "late": ("int", np.array(late, np.int32)), "begin": ("double", self.unit.start_inputs()),
             "rate": ("int", rate), "watched": ("int", np.array(watched, np.int32)),
+            "taken": ("int", np.array([[v.name for v in self.settable].index(n) for n in self.taken], np.int32)),
         }  # fmt: skip
         texts += [array_text(kind, f"{symbol}_{n}", a) for n, (kind, a) in arrays.items() if len(a)]
         numbers = {
@@ -242,7 +254,7 @@ class Embedded:
             "no_set_prior": int(self.unit.steps.no_set_prior is not False),
             "tolerance_told": int(self.file.tolerance is not None), "tolerance": number(self.file.tolerance or 0.0),
             "nu": nu, "np": len(self.settable), "ntyped": len(self.typed), "nother": len(self.told) - len(own),
-            "nlooked": len(outputs), "nwatched": len(watched),
+            "nlooked": len(outputs), "nwatched": len(watched), "ntaken": len(self.taken),
         }  # fmt: skip
         members = {
             "member": c_string(self.name),
@@ -258,7 +270,8 @@ class Embedded:
         table = (
             f"static const ph_embedded_about {symbol}_about = {{\n{rows}    .library = {{{self._libraries()}}},\n}};\n"
         )
-        map_and_kind = f"&{symbol}_about, ph_map_embedded, ph_kind_embedded, {finish}"
+        taken = f"{symbol}_taken" if self.taken else "0"
+        map_and_kind = f"&{symbol}_about, ph_map_embedded, ph_kind_embedded, {finish}, {taken}"
         return f"{''.join(texts)}{table}static const ph_embedded {symbol} = {{{map_and_kind}}};\n"
 
     def _typed_text(self, name: str, version: Version) -> str:

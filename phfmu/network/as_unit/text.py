@@ -133,6 +133,7 @@ def _network_text(
         if len(array):
             tables.arrays.append(array_text(ctype, f"network_{name}", np.asarray(array, ARRAYS[ctype])))
     tables.arrays.append(_rooms("rooms", rooms))
+    held = _held(tables, master)
     memory = _memory(tables, master)
     given = "".join(f"    .{n} = {f'network_{n}' if len(a) else '0'},\n" for n, (_, a) in lists.items())
     return f"""\
@@ -155,13 +156,22 @@ const ph_network ph_the_network = {{
 {memory}    .rules = {{.held = {int(rules["held"])}, .iterations = {rules["iterations"]}}},
     .nroom = {len(rooms)},
     .rooms = rooms,
-    .signals = {len(whole.joined.face.names)},
+{held}    .signals = {len(whole.joined.face.names)},
     .room = {tables.room},
     .step = {number(step)},
     .trials = {START_TRIALS if whole.from_short_steps else 1},
 {given}    .njunction = {len(first) - 1},
 }};
 """
+
+
+def _held(tables: Tables, master: Master) -> str:
+    """Fields of the signals that are held over steps, if there are any."""
+    for values in _filled(master, "ph_held"):
+        own, rooms = tables.struct("ph_held", "held", {**values, "row": np.zeros(values["n"])})
+        tables.arrays.append(_rooms("held_rooms", rooms))
+        return f"    .held = {own},\n    .nheld = {len(rooms)},\n    .held_rooms = held_rooms,\n"
+    return ""
 
 
 def _memory(tables: Tables, master: Master) -> str:

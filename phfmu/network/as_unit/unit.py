@@ -29,6 +29,8 @@ from phfmu.network.couplings.compiled.master import Master
 from phfmu.network.couplings.coupled import Coupled
 from phfmu.network.couplings.gathered import COMPOSED
 from phfmu.network.couplings.named import Named
+from phfmu.network.couplings.newton import Newton
+from phfmu.network.couplings.unconverged import plain
 from phfmu.network.members.fmu_member import FMUMember
 from phfmu.network.members.rollback import Rollback
 from phfmu.network.network import Network
@@ -82,20 +84,33 @@ class NetworkUnit(Unit):
     def master(self) -> Master:
         """The compiled master, whose tables the unit has."""
         found = self.whole.master
-        if self.whole.signals_held:
-            what = "take --coupling newton, which exchanges them at nodes, or export it composed, without --as-unit"
-            what = (
-                "units inside take none at nodes: join them at ports, or write a package of all (--ssp)"
-                if self.units
-                else what
-            )
-            raise FMUError(f"{self.name}: its members exchange signals that are held over a step; {what}")
+        if reason := self._signals_outside():
+            raise FMUError(f"{self.name}: {reason}")
         if found.solver not in SOLVER_FILES:
             raise FMUError(
                 f"{self.name}: its coupling, {type(self.whole.coupling).__name__}, is a rule in Python, which a unit has "
                 "none of; take --coupling newton, anderson, gauss-seidel or jacobi"
             )
         return found
+
+    def _signals_outside(self) -> str:
+        """Why the master does not exchange the signals itself; "" if it does."""
+        if not self.whole.signals_held:
+            return ""
+        if not self.whole.samples_inside:
+            return (
+                "some of its signals are exchanged at nodes and others held over a step, which a unit does not do; take "
+                "--coupling gauss-seidel, which holds all"
+            )
+        ends = {n for w in self.whole.joined.network.wires for n in (w.source, w.target)}
+        if isinstance(plain(self.whole.coupling), Newton) and (
+            inside := [m.name for m in self.units if m.name in ends]
+        ):
+            return (
+                f"signals of {', '.join(inside[:4])} would be iterated to agreement, which a unit does not do; take --coupling "
+                "gauss-seidel, which extrapolates them"
+            )
+        return ""
 
     @property
     def members(self) -> list[tuple[str, Model | Embedded]]:
@@ -210,6 +225,7 @@ class NetworkUnit(Unit):
         network = self.whole.joined.network
         ends = {e.port for j in network.junctions for e in j.ends if e.member == name}
         ends |= {w.input.partition("[")[0] for w in network.wires if w.target == name}
+        held = {w.input for w in network.wires if w.target == name and (name, w.input) not in self.whole.joined.taken}
         if isinstance(model, Embedded):
             joined = [p for p in model.unit.ports if p.name in ends]
             inputs, inner = {n for p in joined for n in p.inputs}, set[str]()
@@ -224,6 +240,10 @@ class NetworkUnit(Unit):
                 continue
             at = q.first + first[q.block if q.block in _LENGTHS else ""]
             found = replace(q, name=of_member(name, q.name), first=at)
+            if q.name in held or q.name.partition("[")[0] in held:
+                text = f"{q.description}: signal, held over a step".removeprefix(": ")
+                yield replace(found, causality="local", start=None, description=text)
+                continue
             if q.name in inputs:
                 text = q.description.replace("held over a step", "mean of the last step, given by the junction")
                 place = self.master.found.columns + at
@@ -327,7 +347,9 @@ def coupled_members(
             unit, _ = unit_member(name, member, step, found.get(name))
             assert isinstance(unit, FMUMember)
             members.append(unit)
-            models.append(Embedded(unit, member))
+            sent = dict.fromkeys(w.output for w in network.wires if w.source == name)
+            taken = dict.fromkeys(w.input for w in network.wires if w.target == name)
+            models.append(Embedded(unit, member, tuple(sent), tuple(taken)))
     whole = Coupled(network, members, coupling.make)
     whole.check_start()
     if not whole.coupling.repeats:  # whether outputs give the junctions their values

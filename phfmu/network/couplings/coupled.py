@@ -136,20 +136,20 @@ class Coupled:
         if self._mode not in self._masters:
             from phfmu.network.couplings.compiled.master import master
 
-            held = self._signals if self._samples_inside else None
+            held = self._signals if self.samples_inside else None
             found = master(self.joined, self.coupling, bool(self._works.keys), self._threads, held)
             self._masters[self._mode] = found
         return self._masters[self._mode]
 
     @cached_property
-    def _samples_inside(self) -> bool:
+    def samples_inside(self) -> bool:
         """Whether the compiled loop samples the signals: those that are not iterated, where all are held."""
         return self._signals.all_held and not self._agreed and not isinstance(self.coupling, Halving)
 
     @property
     def _one_by_one(self) -> bool:
         """Whether Python has something to do between two steps."""
-        sampled = self._signals.any_held and (not self._samples_inside or self._followed_through_ports)
+        sampled = self._signals.any_held and (not self.samples_inside or self._followed_through_ports)
         return self.master.calls or self.unknowns_told or sampled
 
     @property
@@ -414,7 +414,7 @@ class Coupled:
     def _watch_signals(self, grid: tuple[float, float, int], done: int) -> None:
         """After steps in which the master has exchanged the signals."""
         t0, h, first = grid
-        if self._samples_inside and self._signals.any_held:
+        if self.samples_inside and self._signals.any_held:
             for i, values in enumerate(self._signals.rows):
                 self._grown.watch(t0 + (first + i + 1) * h, values)
             self._signals.rows = []
@@ -429,7 +429,7 @@ class Coupled:
 
     def _single(self, t: float, h: float) -> Steps:
         """One step: every member is at t + h with the committed inputs, or, also when reading fails, all are back at t."""
-        inside = self._samples_inside and not self._followed_through_ports
+        inside = self.samples_inside and not self._followed_through_ports
         states, last, samples = self.joined.states(self.coupling.repeats), self.last, self._signals.state()
         try:
             if not inside:

@@ -78,7 +78,7 @@ static int init(void *memory, const void *about) {
     ph_places(&s, e->offset);
     e->nvalue = 1 + e->offset[PH_NBLOCK] + rows_of(a) + a->np + a->nu + a->nlooked + a->nu;
     e->memory = calloc((size_t)(2 * e->nvalue + a->input.nvalue + a->looked.nvalue + a->told.nvalue +
-                                a->nlooked + a->nu + 1),
+                                a->sent.nvalue + a->nlooked + a->nu + 1),
                        sizeof(double));
     e->readers = calloc((size_t)a->nother + 1, sizeof(*e->readers));
     if (!e->memory || !e->readers)
@@ -96,6 +96,7 @@ static int init(void *memory, const void *about) {
     furnish(&e->input, &a->input, &place);
     furnish(&e->looked, &a->looked, &place);
     furnish(&e->told, &a->told, &place);
+    furnish(&e->sent, &a->sent, &place);
     e->now = taken(&place, a->nlooked);
     e->again = taken(&place, a->nu);
     e->unit.version = e->standard->version();
@@ -322,6 +323,24 @@ int ph_embedded_set_input(void *of, const double *u) {
         e->given[i] = u[i] / e->about->input.sign[i];
     }
     return ph_embedded_give(e);
+}
+
+int ph_embedded_tell(ph_embedded_unit *e, double *to) {
+    const ph_scalars *s = &e->sent;
+    const int status = get(e, s);
+    for (int i = 0; i < s->n && status == PH_OK; i++)
+        to[s->at[i]] = s->value[s->place[i]];
+    return status;
+}
+
+int ph_embedded_take(ph_embedded_unit *e, const double *values) {
+    int status = PH_OK;
+    for (int i = 0; i < e->about->ntaken && status == PH_OK; i++) {
+        const int at = e->about->taken[i];
+        e->p[at] = values[i];
+        status = set_now(e, at, values[i]);
+    }
+    return status;
 }
 
 static int skip(void *of, double t) {

@@ -77,10 +77,11 @@ typedef struct ph_embedded_about {
     int no_set_prior;   /* what trials are told as noSetFMUStatePriorToCurrentPoint */
     int tolerance_told; /* whether the tolerance is defined */
     double tolerance;   /* relative, of the experiment */
-    int nu, np, ntyped, nother, nlooked, nwatched;
+    int nu, np, ntyped, nother, nlooked, nwatched, ntaken;
     ph_scalars input;           /* of nu */
     ph_scalars looked;          /* what steps are booked with: nu outputs, then displacements */
     ph_scalars told;            /* observables */
+    ph_scalars sent;            /* held signals that it sends */
     const ph_scalars *settable; /* np: each alone */
     const double *start;        /* np */
     const int *given;           /* np: whether its start is set although nobody changes it */
@@ -90,6 +91,7 @@ typedef struct ph_embedded_about {
     const double *begin;        /* nu: inputs before anyone sets them, inward */
     const int *rate;            /* nu: place of the displacement whose rate the output is, or -1 */
     const int *watched;         /* nwatched: observables that have to be finite */
+    const int *taken;           /* ntaken: places among the settable of held signals that it takes */
 } ph_embedded_about;
 
 typedef struct ph_embedded_unit {
@@ -125,7 +127,7 @@ typedef struct ph_embedded_unit {
     double *kept;  /* nvalue; work, as all below */
     double *now;   /* nlooked */
     double *again; /* nu */
-    ph_scalars input, looked, told;
+    ph_scalars input, looked, told, sent;
     int offset[PH_NBLOCK + 1];
 } ph_embedded_unit;
 
@@ -135,11 +137,14 @@ const ph_kind *ph_kind_embedded(void);
 int ph_embedded_finish(void *of);
 
 /* Of the map. Outputs and displacements now, inward;
- * outputs of ports now, in the table; inputs as `given`, or u, inward; all that it tells. */
+ * outputs of ports now, in the table; inputs as `given`, or u, inward; held signals that it sends, and takes;
+ * all that it tells. */
 int ph_embedded_look(ph_embedded_unit *e, double *to);
 int ph_embedded_look_now(ph_embedded_unit *e);
 int ph_embedded_give(ph_embedded_unit *e);
 int ph_embedded_set_input(void *of, const double *u);
+int ph_embedded_tell(ph_embedded_unit *e, double *to);
+int ph_embedded_take(ph_embedded_unit *e, const double *values);
 int ph_embedded_refresh(void *of);
 
 /* embedded_state.c: as of ph_step_map. */

@@ -138,9 +138,17 @@ static int record(const ph_share *s, double *to) {
     return status;
 }
 
-/* It takes no impulses, and signals that are held are not exchanged in units. */
+static int tell(const ph_share *s) {
+    return ph_embedded_tell(s->of, s->told);
+}
+
+static int take(const ph_share *s) {
+    return ph_embedded_take(s->of, s->taken);
+}
+
+/* It takes no impulses. */
 const ph_kind *ph_kind_embedded(void) {
     static const ph_kind kind = {keep,  restore, step,   refresh, none, none,
-                                 along, present, record, none,    none, NULL};
+                                 along, present, record, tell,    take, NULL};
     return &kind;
 }

@@ -378,7 +378,7 @@ class Master:
             "taken": [e.parts[i].taken.index(w.input) if p < 0 else -1 for i, p, w in zip(target, port, wires, strict=True)],
             "input": [p - first[i] if p >= 0 else 0 for i, p in zip(target, port, strict=True)],
             "factor": [w.factor for w in wires], "offset": [w.offset for w in wires], "low": signals.limits[0],
-            "high": signals.limits[1], "extrapolated": signals.extrapolated, "known": 0, "known_kept": 0, "last": 0.0,
+            "high": signals.limits[1], "extrapolated": int(signals.extrapolated), "known": 0, "known_kept": 0, "last": 0.0,
             "last_kept": 0.0, "now": joined.sampled, "before": np.zeros(n), "row": None,
             **{name: np.zeros(n) for name in ("now_kept", "before_kept", "values")},
         }  # fmt: skip

@@ -64,15 +64,10 @@ int ph_held_before(ph_master *m, double h) {
     return write(m, w->values, 0, w->n);
 }
 
-int ph_held_after(ph_master *m, double h, int row) {
+int ph_held_sample(ph_master *m) {
     ph_held *w = m->held;
     int status = PH_OK;
-    if (!w)
-        return PH_OK;
-    memcpy(w->before, w->now, bytes(w->n));
-    w->last = h;
-    w->known = 1;
-    for (int g = 0; g < w->nstage && status == PH_OK; g++) {
+    for (int g = 0; w && g < w->nstage && status == PH_OK; g++) {
         int read = -1;
         for (int i = w->stage[g]; i < w->stage[g + 1] && status == PH_OK; i++) {
             const ph_share *s = &m->shares[w->source[i]];
@@ -84,6 +79,18 @@ int ph_held_after(ph_master *m, double h, int row) {
         if (status == PH_OK)
             status = write(m, w->now, w->stage[g], w->stage[g + 1]);
     }
+    return status;
+}
+
+int ph_held_after(ph_master *m, double h, int row) {
+    ph_held *w = m->held;
+    int status;
+    if (!w)
+        return PH_OK;
+    memcpy(w->before, w->now, bytes(w->n));
+    w->last = h;
+    w->known = 1;
+    status = ph_held_sample(m);
     memcpy(w->row + (ptrdiff_t)row * w->n, w->now, bytes(w->n));
     return status;
 }

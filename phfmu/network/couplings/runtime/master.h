@@ -261,7 +261,8 @@ int ph_settle(ph_master *m);
 /* present.c: signals at the end of an accepted step. */
 int ph_signals_present(ph_master *m);
 
-/* held.c: signals before a step, and after it; they are those before it again. */
+/* held.c: signals where no step is taken; before a step, and after it; they are those before it again. */
+int ph_held_sample(ph_master *m);
 int ph_held_before(ph_master *m, double h);
 int ph_held_after(ph_master *m, double h, int row);
 void ph_held_drop(ph_master *m);

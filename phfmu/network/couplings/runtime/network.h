@@ -21,6 +21,7 @@ typedef struct ph_embedded {
     const ph_step_map *(*map)(void);
     const ph_kind *(*kind)(void);
     int (*finish)(void *of); /* the step that was accepted once more, for good; NULL: it was */
+    const int *taken;        /* parameters that held signals come into */
 } ph_embedded;
 
 /* A member: its part of the exchange without memory, and what belongs to its model. */
@@ -48,12 +49,15 @@ typedef struct ph_network {
     ph_rules rules;
     int nroom;
     const ph_room *rooms; /* nroom, of the master */
-    int signals;          /* the first of the common variables that are signals */
-    size_t room;          /* bytes of the memory of all */
-    double step;          /* longest internal step, s */
-    int trials;           /* steps that tell the start */
-    const double *start;  /* master.ncolumn: what the first trial starts from */
-    const double *free;   /* inputs of all members besides those of junctions, at the start */
+    ph_held held;         /* without memory; n = 0: no signals are held over a step */
+    int nheld;
+    const ph_room *held_rooms; /* nheld */
+    int signals;               /* the first of the common variables that are signals */
+    size_t room;               /* bytes of the memory of all */
+    double step;               /* longest internal step, s */
+    int trials;                /* steps that tell the start */
+    const double *start;       /* master.ncolumn: what the first trial starts from */
+    const double *free;        /* inputs of all members besides those of junctions, at the start */
     int njunction;
     const int *junction; /* njunction+1: where the pairs of each begin */
     const int *pair;     /* places among the pairs of all members */

@@ -18,6 +18,20 @@ static size_t size(const void *about) {
     return sizeof(ph_whole);
 }
 
+/* What comes is not the continuation of the last step, and the start is another one. */
+static void changed(ph_whole *w) {
+    *w->h = 0.0;
+    ph_master_forget(&w->master);
+    w->begun = w->sampled = w->held.known = 0;
+}
+
+/* The parameter that a wire ends at as the member has it, until it is sampled. */
+static void take_start(const ph_whole *w, int wire) {
+    const int target = w->held.target[wire], i = w->held.taken[wire];
+    const ph_network_member *m = &w->about->members[target];
+    w->shares[target].taken[i] = w->p[w->members[target].p + (m->unit ? m->unit->taken : m->native.taken)[i]];
+}
+
 static int reset(void *of) {
     ph_whole *w = of;
     const ph_network *n = w->about;
@@ -30,11 +44,12 @@ static int reset(void *of) {
     ph_copy(w->free, n->free, w->sizes.nu);
     ph_copy(w->mean, n->start, w->master.ncolumn);
     ph_clear(w->joined, ph_whole_njoined(n, w->sizes.nu));
-    *w->h = 0.0;
-    ph_master_forget(&w->master);
-    w->begun = 0;
+    changed(w);
     ph_whole_gather_parameters(w);
     ph_whole_gather(w);
+    for (int i = 0; i < w->held.n; i++)
+        if (w->held.taken[i] >= 0)
+            take_start(w, i);
     return status;
 }
 
@@ -114,6 +129,15 @@ static int present(ph_whole *w, const double *begin) {
     return status;
 }
 
+/* Held signals as their sources tell them, where no step is taken. */
+static int sample(ph_whole *w) {
+    const int status = ph_held_sample(&w->master);
+    w->sampled = status == PH_OK;
+    if (w->held.n)
+        ph_whole_gather_parameters(w);
+    return status;
+}
+
 static int refresh(void *of) {
     ph_whole *w = of;
     int status = PH_OK;
@@ -126,6 +150,13 @@ static int refresh(void *of) {
     }
     ph_whole_gather(w);
     return status;
+}
+
+static int has_units(const ph_network *n) {
+    int found = 0;
+    for (int i = 0; i < n->nmember; i++)
+        found |= n->members[i].unit != NULL;
+    return found;
 }
 
 /* Of all members, under the inputs that they have. */
@@ -155,6 +186,8 @@ static int initialise(void *of) {
         return status;
     status = present(w, n->start);
     if (status == PH_OK)
+        status = sample(w);
+    if (status == PH_OK)
         status = refresh(w);
     if (status)
         return status;
@@ -166,18 +199,13 @@ static int initialise(void *of) {
     status = present(w, begin);
     if (status == PH_OK)
         status = initialise_members(w);
+    if (status == PH_OK && !has_units(n))
+        status = sample(w);
     for (int i = 0; i < n->nmember; i++)
         ph_copy(w->joined + w->master.ncolumn + w->members[i].u, w->shares[i].now, w->shares[i].nu);
     w->begun = status == PH_OK;
     ph_whole_gather(w);
     return status;
-}
-
-/* What comes is not the continuation of the last step, and the start is another one. */
-static void changed(ph_whole *w) {
-    *w->h = 0.0;
-    ph_master_forget(&w->master);
-    w->begun = 0;
 }
 
 static int set_x(void *of, double t, const double *x) {
@@ -275,6 +303,11 @@ static int step(ph_whole *w, double t, double h, int number) {
             return refused(w, status, t, h);
         ph_master_spread(m, w->mean);
     }
+    if (!w->sampled) {
+        const int status = sample(w);
+        if (status)
+            return refused(w, status, t, h);
+    }
     if (ph_master_run(m, t, h, 1, number, next) != 1)
         return refused(w, m->refused, t + number * h, h);
     for (int i = 0; i < w->about->nmember; i++) {
@@ -285,6 +318,8 @@ static int step(ph_whole *w, double t, double h, int number) {
     }
     ph_copy(w->mean, m->xi, m->ncolumn);
     *w->h = h;
+    if (w->held.n)
+        ph_whole_gather_parameters(w);
     average(w);
     ph_whole_gather(w);
     book(w);

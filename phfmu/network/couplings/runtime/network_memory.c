@@ -124,6 +124,9 @@ static int make_master(ph_whole *w) {
         s->end = signals + own->offset[PH_Y_END];
     }
     furnish(w, m, n->rooms, n->nroom);
+    w->held = n->held;
+    furnish(w, &w->held, n->held_rooms, n->nheld);
+    m->held = n->held.n ? &w->held : NULL;
     if (n->memory_size)
         memcpy(w->memory, n->memory, n->memory_size);
     furnish(w, w->memory, n->memory_rooms, n->nmemory);

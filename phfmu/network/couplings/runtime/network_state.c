@@ -95,10 +95,40 @@ void ph_whole_join(void *of, const double *kept, double part) {
     ph_whole_gather(w);
 }
 
-/* Doubles of a saved state that are not in those of the members: the length of the last step, free inputs,
- * means, what is joined, and what the solver goes on from. */
+/* Doubles of held signals: whether they are sampled, and whether before, the length of the last step, then
+ * samples now and before. */
+static size_t held_values(const ph_whole *w) {
+    return w->held.n ? 3 + 2 * (size_t)w->held.n : 0;
+}
+
+static double *save_held(const ph_whole *w, double *to) {
+    const ph_held *s = &w->held;
+    if (!s->n)
+        return to;
+    *to++ = w->sampled;
+    *to++ = s->known;
+    *to++ = s->last;
+    ph_copy(to, s->now, s->n);
+    ph_copy(to + s->n, s->before, s->n);
+    return to + 2 * s->n;
+}
+
+static const double *load_held(ph_whole *w, const double *from) {
+    ph_held *s = &w->held;
+    if (!s->n)
+        return from;
+    w->sampled = *from++ != 0.0;
+    s->known = *from++ != 0.0;
+    s->last = *from++;
+    ph_copy(s->now, from, s->n);
+    ph_copy(s->before, from + s->n, s->n);
+    return from + 2 * s->n;
+}
+
+/* Doubles of a saved state that are not in those of the members: held signals, the length of the last step,
+ * free inputs, means, what is joined, and what the solver goes on from. */
 static size_t own_values(const ph_whole *w) {
-    return 1 + (size_t)w->sizes.nu + (size_t)w->master.ncolumn +
+    return held_values(w) + 1 + (size_t)w->sizes.nu + (size_t)w->master.ncolumn +
            (size_t)ph_whole_njoined(w->about, w->sizes.nu);
 }
 
@@ -138,7 +168,7 @@ int ph_whole_save(void *of, void *out) {
             memcpy(to, own->native.values, ph_whole_values_size(w, i));
         to += ph_padded(ph_whole_values_size(w, i));
     }
-    values = (double *)(void *)to;
+    values = save_held(w, (double *)(void *)to);
     *values++ = *w->h;
     ph_copy(values, w->free, w->sizes.nu);
     values += w->sizes.nu;
@@ -163,7 +193,7 @@ int ph_whole_load(void *of, const void *from) {
             memcpy(own->native.values, place, ph_whole_values_size(w, i));
         place += ph_padded(ph_whole_values_size(w, i));
     }
-    values = (const double *)(const void *)place;
+    values = load_held(w, (const double *)(const void *)place);
     *w->h = *values++;
     ph_copy(w->free, values, w->sizes.nu);
     values += w->sizes.nu;

@@ -25,6 +25,7 @@ typedef struct ph_whole_member {
 typedef struct ph_whole {
     const ph_network *about;
     ph_master master;
+    ph_held held;
     ph_share *shares;
     ph_whole_member *members;
     ph_sizes sizes;
@@ -43,6 +44,7 @@ typedef struct ph_whole {
     void *memory; /* of the solver */
     double *work; /* what the pointers below and above are in */
     int begun;    /* the junctions are those of the start under the present values */
+    int sampled;  /* held signals are what their sources tell */
     long long *count;
     ph_report report;
     int part;
