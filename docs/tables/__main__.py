@@ -48,6 +48,7 @@ MAKERS = {
         "grid_openings",
         "grid_clearing",
         "grid_ieee39",
+        "grid_map",
         "grid_wecc240",
     ),
     "house": ("house",),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import sys
+import tempfile
 from collections.abc import Sequence
 from functools import cache
 from importlib import import_module
@@ -192,6 +193,26 @@ def speeds(r: Result) -> dict[str, Array]:
 def grid_ieee39() -> Made:
     """`ieee39` with its controllers, a fault of 50 ms at bus 16, 10 s: where the energy went, in MJ."""
     return _energies("ieee39")
+
+
+def grid_map() -> Made:
+    """docs/results/img/grids_map.svg: the 39 buses of `ieee39`, energy through all ports in its fault."""
+    return Made(draw=_map)
+
+
+def _map() -> Sequence[Path]:
+    from phfmu.cli import main
+    from phfmu.report.page.flows import ports
+    from phfmu.report.page.grid_diagram import grid_diagram
+    from phfmu.report.page.history import read_history
+
+    with tempfile.TemporaryDirectory() as folder:
+        audit = Path(folder) / "ieee39.audit.parquet"
+        main(["run", "ieee39", "--stop", f"{FAULT[1]:g}", "--audit", str(audit), "--quiet"])
+        svg, _ = grid_diagram(ports(read_history(audit).within(*FAULT)), {})
+    path = DOCS / "results" / "img" / "grids_map.svg"
+    path.write_text(svg + "\n", encoding="utf-8")
+    return [path]
 
 
 def grid_wecc240() -> Made:

@@ -55,6 +55,6 @@ def test_the_page_of_many_members_is_short_and_says_so(star: Path, tmp_path: Pat
     pytest.importorskip("plotly")
     write_report(Run("star", str(star)), tmp_path / "x.html")
     text = (tmp_path / "x.html").read_text(encoding="utf-8")
-    svg = text[text.index('<svg viewBox="0 0') :].partition("</svg>")[0]
+    svg = text[text.index('<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0') :].partition("</svg>")[0]
     assert svg.count("<rect") <= 2 * MOST + 4 and "89 other members" in svg
     assert "Of 101 members" in text and "<td>m1</td>" not in text and "<td>m100</td>" in text

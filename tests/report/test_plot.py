@@ -105,12 +105,13 @@ def test_signals_of_a_unit_share_an_axis(tmp_path: Path) -> None:
 
 
 def test_si_prefixes() -> None:
-    assert [engineering(x, "W") for x in (444e6, -2.5e3, 0.0, 999.7, 0.999)] == [
+    assert [engineering(x, "W") for x in (444e6, -2.5e3, 0.0, 999.7, 0.999, 999.5)] == [
         "444 MW",
         "-2.5 kW",
         "0 W",
         "1 kW",
         "999 mW",
+        "1 kW",
     ]
     assert scaled(20e3, "A") == (1e-3, "kA") and scaled(2e-9, "J")[1] == "nJ"
     assert scaled(377.0, "rad/s") == (1.0, "rad/s") and scaled(1.04e7, None)[1] == "10⁶" and scaled(4e3, "s")[1] == "s"

@@ -241,7 +241,7 @@ SVG = "{http://www.w3.org/2000/svg}"
 
 
 def drawn(members: list[str], joined: list[Passed]) -> ET.Element:
-    return ET.fromstring(one_line(members, joined, {}).replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" ', 1))
+    return ET.fromstring(one_line(members, joined, {}))
 
 
 def boxes(svg: ET.Element) -> list[tuple[float, ...]]:

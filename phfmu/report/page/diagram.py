@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections import Counter, deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from html import escape
 
 from phfmu.report.page.flows import JUNCTION, MEMBER, Node, Passed
+from phfmu.report.page.svg import LINE, OUTSIDE, head, picture, text, width_of
 from phfmu.report.picture.prefix import engineering
 
 #: pixels: box and bar, room between layers, room of an external port, of an edge's end, and of a line at the most
@@ -17,7 +17,6 @@ ARROW, MARGIN, STRAIGHT = 48, 14, 120
 READABLE, PAGE = 600, 1200
 #: room below a bar with its name, and beside one whose name has a mark
 NAMED, BESIDE = 34, 30
-_LINE, _OUTSIDE = "#0072B2", "#009E73"
 
 
 @dataclass
@@ -80,11 +79,7 @@ def one_line(members: Sequence[str], ports: Sequence[Passed], below: Mapping[str
             parts += _bar(place, mark) if place.node.kind == JUNCTION else _box(place, below, largest)
         width = max(width, *(p.x + p.width / 2 + MARGIN + 60 for p in places.values()))
         height = max(p.y + p.height / 2 + MARGIN + 18 for p in places.values())
-    return (
-        f'<svg viewBox="0 0 {width:.0f} {height:.0f}" width="{width:.0f}" height="{height:.0f}" role="img" '
-        f'style="min-width:{min(width, READABLE):.0f}px" '
-        f'font-family="sans-serif" font-size="11"><title>one-line diagram</title>{"".join(parts)}</svg>'
-    )
+    return picture(width, height, min(width, READABLE), 11, "".join(parts))
 
 
 def _layers(members: Sequence[str], ports: Sequence[Passed]) -> list[dict[Node, int]]:
@@ -229,61 +224,45 @@ def _edge(places: Mapping[Node, _Place], p: Passed, largest: float) -> Iterator[
     """A line from bar to member with its name and energy, and a head in the direction in which the energy went."""
     bar, member = places[Node(JUNCTION, p.junction)], places[Node(MEMBER, p.component)]
     (x0, y0), (x1, y1) = bar.end(p), member.end(p)
-    w, flat = _width(p, largest), x1 + (STRAIGHT if x1 < x0 else -STRAIGHT)  # below the text
+    w, flat = width_of(p.energy, largest, WIDEST), x1 + (STRAIGHT if x1 < x0 else -STRAIGHT)  # below the text
     bend = (x0 + flat) / 2
     yield (
         f'<path d="M{x0:.1f},{y0:.1f} C{bend:.1f},{y0:.1f} {bend:.1f},{y1:.1f} {flat:.1f},{y1:.1f} H{x1:.1f}" fill="none" '
-        f'stroke="{_LINE}" stroke-opacity="0.55" stroke-width="{w:.2f}"/>'
+        f'stroke="{LINE}" stroke-opacity="0.55" stroke-width="{w:.2f}"/>'
     )
     if p.energy:
         right = (x1 > x0) == (p.energy > 0)
-        yield _head(x1 + (14 if x1 < x0 else -14), y1, 0 if right else 180, w, _LINE)
+        yield head(x1 + (14 if x1 < x0 else -14), y1, 0 if right else 180, w, LINE)
     anchor, shift = ("start", 24) if x1 < x0 else ("end", -24)
-    yield _text(x1 + shift, y1 - w / 2 - 4, f"{p.port} {engineering(abs(p.energy), 'J')}", anchor)
+    yield text(x1 + shift, y1 - w / 2 - 4, f"{p.port} {engineering(abs(p.energy), 'J')}", anchor)
 
 
 def _box(place: _Place, below: Mapping[str, str], largest: float) -> Iterator[str]:
     name, x, y = place.node.name, place.x, place.y
     for i, p in enumerate(place.above):
-        at, w = x + PORT * (i - (len(place.above) - 1) / 2) - 18, _width(p, largest)
+        at, w = x + PORT * (i - (len(place.above) - 1) / 2) - 18, width_of(p.energy, largest, WIDEST)
         top = y - place.height / 2 - ARROW
         yield (
             f'<line x1="{at:.1f}" y1="{top:.1f}" x2="{at:.1f}" y2="{y - place.height / 2:.1f}" '
-            f'stroke="{_OUTSIDE}" stroke-opacity="0.6" stroke-width="{w:.2f}"/>'
+            f'stroke="{OUTSIDE}" stroke-opacity="0.6" stroke-width="{w:.2f}"/>'
         )
         if p.energy:
-            yield _head(at, top + ARROW / 2, 90 if p.energy > 0 else 270, w, _OUTSIDE)
+            yield head(at, top + ARROW / 2, 90 if p.energy > 0 else 270, w, OUTSIDE)
         side = at + max(w / 2, 7) + 4
-        yield _text(side, top + 12, p.port, "start") + _text(side, top + 26, engineering(abs(p.energy), "J"), "start")
+        yield text(side, top + 12, p.port, "start") + text(side, top + 26, engineering(abs(p.energy), "J"), "start")
     yield (
         f'<rect x="{x - place.width / 2:.1f}" y="{y - place.height / 2:.1f}" width="{place.width:.1f}" '
-        f'height="{place.height:.1f}" rx="5" fill="#eef4f9" stroke="{_LINE}"/>'
+        f'height="{place.height:.1f}" rx="5" fill="#eef4f9" stroke="{LINE}"/>'
     )
-    text = below.get(name, "")
-    yield _text(x, y + (-3 if text else 4), name, "middle", "font-weight='600' font-size='12'")
-    if text:
-        yield _text(x, y + 13, text, "middle", "fill='#555' font-size='10'")
+    words = below.get(name, "")
+    yield text(x, y + (-3 if words else 4), name, "middle", "font-weight='600' font-size='12'")
+    if words:
+        yield text(x, y + 13, words, "middle", "fill='#555' font-size='10'")
 
 
 def _bar(place: _Place, mark: str) -> Iterator[str]:
     x, y, high = place.x, place.y, place.height + 14
     yield f'<rect x="{x - BAR / 2:.1f}" y="{y - high / 2:.1f}" width="{BAR}" height="{high:.1f}" fill="#222"/>'
-    yield _text(x, y + high / 2 + 14, place.node.name, "middle", "font-weight='600'")
+    yield text(x, y + high / 2 + 14, place.node.name, "middle", "font-weight='600'")
     if mark:
-        yield _text(x, y + high / 2 + 27, mark, "middle", "fill='#555' font-size='10'")
-
-
-def _width(p: Passed, largest: float) -> float:
-    return max(WIDEST * abs(p.energy) / largest, 1.0)
-
-
-def _head(x: float, y: float, angle: int, width: float, colour: str) -> str:
-    size = max(5.0, 0.8 * width)
-    points = f"{-size:.1f},{-size:.1f} {size:.1f},0 {-size:.1f},{size:.1f}"
-    return f'<polygon points="{points}" transform="translate({x:.1f},{y:.1f}) rotate({angle})" fill="{colour}"/>'
-
-
-def _text(x: float, y: float, text: str, anchor: str, more: str = "") -> str:
-    """Text with a white edge, so that lines below it do not cross it out."""
-    halo = 'stroke="white" stroke-width="3" paint-order="stroke" stroke-linejoin="round"'
-    return f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}" {halo} {more}>{escape(text)}</text>'
+        yield text(x, y + high / 2 + 27, mark, "middle", "fill='#555' font-size='10'")

@@ -16,6 +16,7 @@ from phfmu.report.audit_signals import AuditSignals, marks
 from phfmu.report.page.diagram import one_line
 from phfmu.report.page.flows import Book, books, links, ports
 from phfmu.report.page.gathered import gathered_links, gathered_ports, others
+from phfmu.report.page.grid_diagram import grid_diagram
 from phfmu.report.page.history import History, read_history
 from phfmu.report.page.sankey import sankey, seen
 from phfmu.report.picture.html import chart, part, write_page
@@ -134,11 +135,16 @@ def _energy(inside: History, summary: LedgerSummary) -> Iterator[str]:
     gone = others([b.component for b in accounts], passed)
     flows = gathered_links(links(inside), passed, gone)
     below = {b.component: f"dissipated {engineering(b.dissipated, 'J')}" for b in accounts if b.dissipated}
-    diagram = one_line([b.component for b in accounts if b.component not in gone], gathered_ports(passed, gone), below)
+    diagram, faint = grid_diagram(passed, below) if gone else ("", 0)
+    if not diagram:
+        diagram = one_line(
+            [b.component for b in accounts if b.component not in gone], gathered_ports(passed, gone), below
+        )
     if diagram:
         yield _heading(f"Energy through the ports, {span}")
         yield f'<div class="wide">{diagram}</div>'
-        yield '<p class="note">Widths are proportional to energy (1 px at least); arrows show which way it went.</p>'
+        left = f" {counted(faint, 'member')} that next to no energy passed through are left out." if faint else ""
+        yield f'<p class="note">Widths are proportional to energy (1 px at least); arrows show which way it went.{left}</p>'
     if flows:
         yield _heading(f"Where the energy went, {span}")
         drawn, note = seen(flows, summary.rtol * _level(inside))

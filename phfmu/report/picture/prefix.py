@@ -17,7 +17,7 @@ def scaled(largest: float, unit: str | None) -> tuple[float, str]:
     plain = unit if unit and unit != "1" else ""
     if not math.isfinite(largest) or largest <= 0.0:
         return 1.0, plain
-    exponent = 3 * math.floor(math.log10(largest * (1.0 + 5e-4)) / 3.0)
+    exponent = 3 * math.floor(math.log10(largest * (1.0 + 5.003e-4)) / 3.0)
     if unit in PREFIXED:
         exponent = min(max(exponent, min(_LETTERS)), 0 if unit == "s" else max(_LETTERS))
         return 10.0**-exponent, _LETTERS[exponent] + plain
