@@ -70,7 +70,7 @@ def grid_diagram(ports: Sequence[Passed], below: Mapping[str, str]) -> tuple[str
     width, height = (max(p[i] for p in at.values()) + MARGIN for i in (0, 1))
     titles = {m: f"{m}{': ' if m in below else ''}{below.get(m, '')}" for g in _groups(grid) for m in g}
     parts = [*_lines(grid, at, titles), *_stars(grid, at, titles), *_buses(grid, at, titles)]
-    return picture(width, height, width, 10, "".join(parts)), grid.faint
+    return picture(width, height, 0.8 * width, 10, "".join(parts)), grid.faint
 
 
 def _groups(grid: _Grid) -> tuple[dict[str, dict[str, float]], ...]:
