@@ -11,6 +11,7 @@ from phfmu.components.electrical.machines.machine_init import OperatingPoint, op
 from phfmu.components.electrical.machines.machine_per_unit import from_inductances, from_per_unit, reactances
 from phfmu.components.electrical.machines.main_flux import Saturation
 from phfmu.components.electrical.machines.synchronous_machine import machine_at_bus, synchronous_machine
+from phfmu.components.electrical.network.inverter import grid_following_inverter
 from phfmu.components.electrical.network.lines import coupled_line, line_per_unit, pi_line, series_compensated_line
 from phfmu.components.electrical.network.loads import capacitor_bank, load, rlc_branch, shunt
 from phfmu.components.electrical.network.saturation import MagnetisationCurve, saturating_reactor
@@ -46,6 +47,7 @@ __all__ = [
     "field_source",
     "from_inductances",
     "from_per_unit",
+    "grid_following_inverter",
     "ideal_diode",
     "ideal_switch",
     "induction_machine",

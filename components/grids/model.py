@@ -6,7 +6,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from math import cos, inf, pi, sqrt
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from phfmu import Network, meant
 from phfmu.components.electrical.breaker import breaker
 from phfmu.components.electrical.capacitors import capacitor_network
 from phfmu.components.electrical.machines.synchronous_machine import synchronous_machine
+from phfmu.components.electrical.network.inverter import grid_following_inverter
 from phfmu.components.electrical.network.lines import coupled_line
 from phfmu.components.electrical.network.transformers import two_winding_transformer
 from phfmu.components.electrical.phases import ALPHA
@@ -30,7 +31,11 @@ from phfmu.operating import PQ, PV, Load, NetworkPoint, Slack, Specification, op
 
 #: kinds of buses of the table
 LOAD, VOLTAGE, SLACK, ISOLATED = 1, 2, 3, 4
-Plants = Literal["refuse", "currents"]
+Plants = Literal["refuse", "currents", "inverters"]
+#: limit of the current of an inverter, of its rating or of what it begins with if that is more
+SPARE = 1.1
+#: what stands for a generator without data
+WORDS = {"currents": "a constant balanced current", "inverters": "a grid-following inverter of constant power"}
 #: zero sequence of lines, of which such files know nothing, as a part of the positive one
 ZERO = 3.0
 #: limits of reactive power that are none
@@ -52,6 +57,8 @@ class GridModel:
     report: Report
     #: by port of a unit that holds a voltage [Mvar]
     q_limits: dict[str, tuple[float, float]] = field(default_factory=dict)
+    #: by plant that is an inverter its rated voltage [V] and power [VA]; in the operating point it is the current that it injects
+    inverters: dict[str, tuple[float, float]] = field(default_factory=dict)
 
     def beyond(self) -> list[str]:
         """Lines about units at their limits of reactive power, or beyond them where nothing keeps them within."""
@@ -68,6 +75,18 @@ class GridModel:
     def point(self) -> NetworkPoint:
         """The operating point: voltages and powers of the table; NoOperatingPoint says what stands out."""
         return operating_point(self.network, self.specifications, self.grid.frequency)
+
+    def started(self) -> Network:
+        """The network in its operating point, with inverters in the place of the currents that stand for them."""
+        net = self.point.started()
+        for name, (V, S) in self.inverters.items():
+            port = f"{name}.terminal"
+            bus, s = self.point.junction_of(port), -self.point.power(port)
+            U, angle = self.point.magnitude(bus), self.point.angle(bus)
+            most = SPARE * max(1.0, abs(s) / U * V / S)
+            made = grid_following_inverter(s.real, s.imag, V=V, S=S, fn=self.grid.frequency, most=most, angle=angle)
+            net.members[name] = made.with_starts({"U": U, "Id": s.real / U, "Iq": -s.imag / U})
+        return net
 
     def voltages(self) -> dict[int, complex]:
         """Phasors of the voltages at the operating point in per unit, by bus."""
@@ -101,15 +120,16 @@ def grid_model(
 ) -> GridModel:
     """The network of a grid, begun flat at the voltages of the table, and what its operating point has to meet.
 
-    plants: generators without data of a machine are refused, or constant balanced `currents`, as is a load of negative power
+    plants: generators without data of a machine are refused, or constant balanced `currents`, or grid-following `inverters` of
+      constant power; loads of negative power are as these
     faults: buses with a fault resistor, open;  breakers: lines (line1_2) whose poles can open
     controls: exciters, governors and stabilisers of the dynamic data; without them field voltages and torques are constant
     q_limits: a machine holds its voltage as far as its limits of q let it, else they are told where they are passed
     saturation: machines have the quadratic saturation of S(1.0) and S(1.2), else the account names what they leave out
     GridError names what has no part here, and machines without data.
     """
-    if plants not in ("refuse", "currents"):
-        raise ValueError(f"plants = '{plants}' is neither refuse nor currents")
+    if plants not in get_args(Plants):
+        raise ValueError(f"plants = '{plants}' is none of {', '.join(get_args(Plants))}")
     return _Build(grid, plants, faults, breakers, controls, q_limits, saturation).model()
 
 
@@ -144,6 +164,7 @@ class _Build:
         self.notes: list[str] = [f"not represented: {line}" for line in grid.unused]
         self.specifications: list[Specification] = []
         self.q_limits: dict[str, tuple[float, float]] = {}
+        self.inverters: dict[str, tuple[float, float]] = {}
         self.nodes = {b.number: _Node() for b in grid.buses if b.kind != ISOLATED}
         self.branches = self._named_branches()
         self.problems = [why for branch in self.branches.values() if (why := unsound(branch))]
@@ -192,7 +213,7 @@ class _Build:
             self.net.signals(self.controls.wires)
         self._account_of_dynamics()
         return GridModel(self.grid, self.net, tuple(self.specifications), Report(tuple(self.rows), tuple(self.notes)),
-                         self.q_limits)  # fmt: skip
+                         self.q_limits, self.inverters)  # fmt: skip
 
     # -- bases and names ---------------------------------------------------------------------------------------------
 
@@ -395,7 +416,7 @@ class _Build:
         if missing and self.plants == "refuse":
             self.problems += [
                 f"bus {g.bus}, machine '{g.id}': no dynamic data ({', '.join(MODELS)}); give them, or take plants without "
-                "data as constant currents (--plants currents, plants='currents')" for g in missing
+                "data as constant currents or inverters (--plants currents, plants='inverters')" for g in missing
             ]  # fmt: skip
             return
         for number, there in at.items():
@@ -412,9 +433,7 @@ class _Build:
         remote = f"voltage held at bus {g.holds}" if g.holds != g.bus else ""
         if data is None:
             if self._current_plant(name, g.bus, complex(g.p, g.q), g.base, holds, g.q_limits):
-                self.rows.append(
-                    Row(kind, device, (name,), used, remote, "no machine data: a constant balanced current")
-                )
+                self.rows.append(Row(kind, device, (name,), used, remote, f"no machine data: {WORDS[self.plants]}"))
             else:
                 self.rows.append(Row(kind, device, (), "nothing: p = q = 0"))
             return
@@ -458,6 +477,8 @@ class _Build:
         z = (s * 1e6 / (1.5 * v)).conjugate()
         self.net.add(name, balanced_current_source(z, self.grid.frequency, v=v, i=i))
         self.nodes[bus].ends.append(f"{name}.terminal")
+        if self.plants == "inverters":
+            self.inverters[name] = self.bus[bus].kv * 1e3, size * 1e6
         free = (f"{name}.phasor[1]", f"{name}.phasor[2]")
         self._specify(f"{name}.terminal", bus, s, bool(holds), free, q_limits)
         return True

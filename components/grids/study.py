@@ -98,7 +98,7 @@ def grid_scene(
         Event(min(ends) if t.t is None else t.t, f"{model.branch(t.branch)}.command", 0.0)
         for t in trips
     ]  # fmt: skip
-    net = model.point.started()
+    net = model.started()
     net.description = f"{grid.name}, {len(grid.buses)} buses, from its operating point"
     return Scene(
         net.name,

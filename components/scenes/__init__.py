@@ -10,7 +10,7 @@ from phfmu.components.scenes.engine import engine
 from phfmu.components.scenes.island import island, smib_exciter
 from phfmu.components.scenes.ladder import ladder
 from phfmu.components.scenes.motor_start import motor_start
-from phfmu.components.scenes.network_events import ferroresonance, inrush, short_circuit
+from phfmu.components.scenes.network_events import ferroresonance, inrush, short_circuit, weak_grid
 from phfmu.components.scenes.oscillator import oscillator
 from phfmu.components.scenes.rectifier import rectifier, six_pulse
 from phfmu.components.scenes.robot_arm import robot_arm
@@ -53,6 +53,7 @@ __all__ = [
     "stall_start",
     "two_machine",
     "two_point_control",
+    "weak_grid",
     "wscc9",
     "wscc9_steady",
     "wscc9_trip",

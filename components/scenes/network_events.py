@@ -1,4 +1,4 @@
-"""What networks are asked for first: short circuits of any kind, and iron that saturates: inrush and ferroresonance."""
+"""What networks are asked for first: short circuits of any kind, an inverter in a weak grid, iron that saturates."""
 
 from __future__ import annotations
 
@@ -6,12 +6,14 @@ from math import pi, sqrt
 
 from phfmu import Network, Scene
 from phfmu.components.electrical.infinite_bus import infinite_bus
+from phfmu.components.electrical.network.inverter import grid_following_inverter
 from phfmu.components.electrical.network.lines import coupled_line, series_compensated_line
 from phfmu.components.electrical.network.loads import load, shunt
 from phfmu.components.electrical.network.saturation import MagnetisationCurve, saturating_reactor
 from phfmu.components.electrical.network.shunts import fault, fault_events
 from phfmu.components.electrical.network.thevenin import thevenin_source
 from phfmu.components.electrical.network.transformers import two_winding_transformer
+from phfmu.components.electrical.rl_line import rl_line
 from phfmu.components.electrical.rlc_load import rlc_load
 from phfmu.operating import operating_point
 
@@ -35,6 +37,28 @@ def short_circuit(kind: str = "ag", *, R: float = 0.5, begins: float = 0.04, cle
     point = operating_point(net, [], 50.0)
     events = fault_events("fault", begins, clears)
     return Scene("short_circuit", point.started(), 0.2, 1e-4, events, net.description, restart=4)
+
+
+def weak_grid(ratio: float = 3.0, *, P: float = 8e6, R: float = 5.0, begins: float = 0.1, clears: float = 0.2) -> Scene:
+    """An inverter of 10 MVA with a capacitor of 10 % at the end of a 20 kV line, from its steady state; a fault beside it.
+
+    In the fault the current is at its limit of 1.1; what the inverter takes for the angle of its voltage swings and settles.
+
+    Arguments: ratio [1], short-circuit power of the grid, of 10 MVA;  P [W], delivered;
+      R [ohm], begins, clears [s], of the fault
+    """
+    V, S = 20e3, 10e6
+    v, i, Z = V * sqrt(2.0 / 3.0), sqrt(2.0 / 3.0) * S / V, V**2 / S / ratio
+    net = Network("weak_grid", description="inverter in a weak grid: fault, limit of the current, loop that settles")
+    net.add("grid", infinite_bus(v, 50.0, i=i))
+    net.add("line", rl_line(0.1 * Z, Z / (100.0 * pi), v=v, rated=i))
+    net.add("filter", shunt(-0.1 * S, V=V, f=50.0))
+    net.add("fault", fault("abcg", R, nominal=v))
+    net.add("inverter", grid_following_inverter(P, 0.0, V=V, S=S))
+    net.connect("grid.terminal", "line.a", name="source")
+    net.junction("bus", ["line.b", "filter.terminal", "fault.terminal", "inverter.terminal"])
+    point = operating_point(net, [], 50.0)
+    return Scene("weak_grid", point.started(), 0.5, 1e-4, fault_events("fault", begins, clears), net.description)
 
 
 def inrush(phase: float = -pi / 2.0, *, residual: float = 0.0) -> Scene:

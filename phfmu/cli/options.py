@@ -53,8 +53,9 @@ def add_grid(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--trip", action="append", default=[], metavar="LINE[:TIME]",
                         help="line of a grid whose poles open at their next current zeros, line5-7:0.18 (default: "
                         "when the first fault ends); may be repeated")  # fmt: skip
-    parser.add_argument("--plants", choices=("refuse", "currents"),
-                        help="generators of a grid without dynamic data: refused (default), or constant currents")  # fmt: skip
+    parser.add_argument("--plants", choices=("refuse", "currents", "inverters"),
+                        help="generators of a grid without dynamic data: refused (default), constant currents, or "
+                        "grid-following inverters of constant power")  # fmt: skip
     parser.add_argument("--no-controls", action="store_true",
                         help="a grid without its exciters, governors, stabilisers: fields and torques constant")  # fmt: skip
     parser.add_argument("--q-limits", action="store_true",

@@ -339,6 +339,27 @@ def test_units_without_data_are_named_or_become_currents() -> None:
         assert v == pytest.approx(whole.voltages()[n], abs=1e-9)
 
 
+def test_units_without_data_become_inverters_in_the_same_point() -> None:
+    """Steady with them, at order 4; in a fault their currents are at the limit."""
+    grid = nine()
+    grid = replace(grid, dynamics=tuple(d for d in grid.dynamics if d.bus != 3))
+    m, currents = grid_model(grid, plants="inverters"), grid_model(grid, plants="currents")
+    assert m.voltages() == pytest.approx(currents.voltages(), abs=1e-12)
+    assert "grid-following inverter" in m.report.of("plant3").assumed
+    scene = grid_scene(grid, plants="inverters", faults=[Fault(9, 0.05, 0.1)], stop=0.1)
+    unit = NativeInstance(build_model(scene.declaration(), Collocated(2)))
+    options = Options(stop=scene.stop, step=scene.step, events=scene.events, restart=scene.restart)
+    r = run(Monolithic(unit.model, unit), options)
+    assert r.ledger.summary().closed
+    before = r.time < 0.05
+    for name in ("plant3.U", "plant3.Id"):
+        assert np.ptp(r.column(name)[before]) < 1e-6 * abs(r.column(name)[0])
+    rating = next(g for g in grid.generators if g.bus == 3)
+    limit = 1.1 * rating.base * 1e3 / grid.bus[3].kv
+    amount = np.hypot(r.column("plant3.Id"), r.column("plant3.Iq"))
+    assert amount.max() == pytest.approx(limit, rel=1e-3)
+
+
 def test_a_subtransient_reactance_below_the_leakage_is_named() -> None:
     grid = nine()
     first = grid.dynamics[0]

@@ -1,5 +1,6 @@
 """Parts of three-phase networks: lines, transformers, loads, shunts, faults; currents count into the component."""
 
+from phfmu.components.electrical.network.inverter import grid_following_inverter
 from phfmu.components.electrical.network.lines import coupled_line, line_per_unit, pi_line, series_compensated_line
 from phfmu.components.electrical.network.loads import capacitor_bank, load, rlc_branch, shunt
 from phfmu.components.electrical.network.saturation import MagnetisationCurve, saturating_reactor
@@ -14,6 +15,7 @@ __all__ = [
     "coupled_line",
     "fault",
     "fault_events",
+    "grid_following_inverter",
     "line_per_unit",
     "load",
     "pi_line",
