@@ -39,6 +39,7 @@ ARGUMENTS = {
     "shunt": ({"Q": 1.0, "V": 1.0},),
     "capacitor_bank": ({"Q": 1.0, "V": 1.0},),
     "constant_power_load": ({"P": 1.0, "V": 1.0},),
+    "grid_following_inverter": ({"P": 1.0, "V": 1.0, "S": 2.0},),
     "saturating_reactor": ({"points": ((1.0, 0.1), (1.2, 1.0))},),
     "rlc_load": ({"R": 2.0}, {"L": 0.1}, {"C": 1e-3}, {"R": 2.0, "L": 0.1, "C": 1e-3}),
     "synchronous_machine": tuple({"coordinates": c} for c in ("dq-flux", "abc-flux", "current")),
