@@ -1,4 +1,4 @@
-"""Runs in compiled code: one call takes many, and only what is measured is worked out."""
+"""Runs in compiled code: one call takes many, side by side where that pays, and only what is measured is worked out."""
 
 from __future__ import annotations
 
@@ -30,6 +30,7 @@ from phfmu.outcome.status import StepFailure
 from phfmu.runs.loop import segments
 from phfmu.runs.march import pieces
 from phfmu.runs.stretches import stretches
+from phfmu.sweeps.lanes import LANES, Lanes, lanes_of
 from phfmu.sweeps.outcome import Outcome, Stopped
 from phfmu.sweeps.places import INPUT, PARAMETER, Places
 from phfmu.sweeps.task import ModelTask
@@ -66,72 +67,36 @@ def _library() -> ctypes.CDLL:
     lib = drivers()
     pointer, integer = ctypes.c_void_p, ctypes.c_int
     lib.ph_runs_take.restype = integer
-    lib.ph_runs_take.argtypes = [pointer, pointer, integer, pointer, integer, pointer, pointer, ctypes.POINTER(integer)]
+    lib.ph_runs_take.argtypes = [pointer, integer, pointer, pointer, integer, pointer, integer, *[pointer] * 3]
+    lib.ph_lanes_size.argtypes, lib.ph_lanes_size.restype = [pointer, pointer], ctypes.c_size_t
+    lib.ph_lanes_init.argtypes, lib.ph_lanes_init.restype = [pointer, pointer, pointer], integer
+    lib.ph_lanes_counts.argtypes, lib.ph_lanes_counts.restype = [pointer], ctypes.POINTER(ctypes.c_longlong)
     return lib
 
 
-class NativeRuns:
-    """One instance that takes one run after the other; another thread needs another one."""
+class _Run:
+    """An instance with the structure that runs.c works on."""
 
-    def __init__(self, task: ModelTask):
-        self._model, self._width, self._count = task.model, len(task.names), len(task.measures)
-        self._steps = (task.options.stop - task.options.t0) / task.options.step
-        self._instance = NativeInstance(task.model)
-        self._memory, self._stop = Structures(HEADER), np.zeros(1, np.intc)
-        self._lib = _library()
-        self._held, places = Constants(task.model), Places(task.model)
-        named = [(p, j) for j, n in enumerate(task.names) for p in places.of(n)]
-        self._parameters = [(p.index, j) for p, j in named if p.kind == PARAMETER]
-        books = Monolithic(task.model, self._instance).booking
+    def __init__(self, task: ModelTask, lib: ctypes.CDLL, stop: NDArray[Any]):
+        self.instance, self._memory, self._stop = NativeInstance(task.model), Structures(HEADER), stop
+        books = Monolithic(task.model, self.instance).booking
         # parts of junctions are not told of a sweep
         books = replace(books, parts=(), divided={}) if books.parts else books
-        self._accounts = Ordinary(self._lib, books, RunSums(), Judge(task.options.audit_rtol))
-        self._struct = self._memory.fill("ph_runs", self._values(task))
+        self._accounts = Ordinary(lib, books, RunSums(), Judge(task.options.audit_rtol))
+        self.struct = self._memory.fill("ph_runs", self._values(task))
 
-    def take(self, rows: NDArray[Any], first: int = 0) -> Outcome:
-        """Runs with these values (n x names); their numbers do not matter here."""
-        del first
-        rows, n = np.ascontiguousarray(rows, float), len(rows)
-        values, facts, errors = np.full((n, self._count), np.nan), np.zeros((n, 2)), [""] * n
-        self._instance.expect(n * self._steps)
-        begun, done, constants = 0, ctypes.c_int(), self._constants(rows)
-        while begun < n:
-            code = self._lib.ph_runs_take(
-                ctypes.addressof(self._struct), rows[begun:].ctypes.data, self._width, constants[begun:].ctypes.data,
-                n - begun, values[begun:].ctypes.data, facts[begun:].ctypes.data, done,
-            )  # fmt: skip
-            begun += done.value
-            if code == STOPPED:
-                raise Stopped
-            if code:
-                errors[begun] = self._why(code)
-                begun += 1
-        return Outcome(values, facts[:, 0].astype(int), facts[:, 1].copy(), tuple(errors))
-
-    def _constants(self, rows: NDArray[Any]) -> NDArray[Any]:
-        """The constant part of H in each run (n x components)."""
-        p, found = self._model.p0.copy(), np.zeros((len(rows), self._model.step.ncomp))
-        for row, own in zip(rows, found, strict=True):
-            for place, column in self._parameters:
-                p[place] = row[column]
-            own[:] = self._held.at(p) or 0.0
-        return found
-
-    def stop(self) -> None:
-        """From another thread: runs under way end with Stopped."""
-        self._stop[0] = 1
-
-    def _why(self, code: int) -> str:
+    def why(self, code: int) -> str:
+        """The error of the run that has ended with this status."""
         try:
             if code < 0:
-                require_consistent(self._model, self._instance)
-            self._instance.handle.check(code)
+                require_consistent(self.instance.model, self.instance)
+            self.instance.handle.check(code)
         except (StepFailure, InconsistentState) as error:
             return str(error)
         raise AssertionError(code)
 
     def _values(self, task: ModelTask) -> dict[str, Any]:
-        model, plan, layout, o = task.model, task.model.step, self._instance.layout, task.options
+        model, plan, layout, o = task.model, task.model.step, self.instance.layout, task.options
         memory, columns = self._memory, Columns(model, layout)
         measured = [(m.kind, *columns.place(m.signal)) for m in task.measures]
         ends, energies = layout["a_end"].start, layout["H"].start
@@ -156,7 +121,7 @@ class NativeRuns:
         work |= dict.fromkeys(("value", "held", "time"), len(measured))
         found, (accounts, books) = layout["observables"], self._accounts.accounts
         return {
-            "in": self._instance.handle.instance,
+            "in": self.instance.handle.instance,
             **{n: getattr(plan, n) for n in ("np", "nx", "nu", "ncomp")},
             **{f"n{kind}": len(rows) for kind, rows in listed.items()},
             "ncheck": len(model.checks), "check": found.stop - len(model.checks), "energy": energies,
@@ -167,6 +132,75 @@ class NativeRuns:
             "accounts": accounts, "books": books.ctypes.data, "nbook": len(books),
             **lists, **{name: np.zeros(size) for name, size in work.items()},
         }  # fmt: skip
+
+
+class NativeRuns:
+    """Takes runs, LANES at a time where their steps fit into lanes (`lanes.py`) unless `lanes` is False; another thread needs
+    another one.
+    """
+
+    def __init__(self, task: ModelTask, lanes: bool = True):
+        self._task, self._width, self._count = task, len(task.names), len(task.measures)
+        self._steps = (task.options.stop - task.options.t0) / task.options.step
+        self._stop, self._lib = np.zeros(1, np.intc), _library()
+        self._each = [_Run(task, self._lib, self._stop)]
+        self._held, places = Constants(task.model), Places(task.model)
+        named = [(p, j) for j, n in enumerate(task.names) for p in places.of(n)]
+        self._parameters = [(p.index, j) for p, j in named if p.kind == PARAMETER]
+        self._lanes: Lanes | None = None
+        self._may = lanes and not self._each[0].struct.refresh
+
+    def take(self, rows: NDArray[Any], first: int = 0) -> Outcome:
+        """Runs with these values (n x names); their numbers do not matter here."""
+        del first
+        rows, n = np.ascontiguousarray(rows, float), len(rows)
+        values, facts, errors = np.full((n, self._count), np.nan), np.zeros((n, 2)), [""] * n
+        status, constants, begun = np.zeros(n, np.intc), self._constants(rows), 0
+        self._begin_lanes(n)
+        many, lanes = len(self._each), self._lanes.address if self._lanes else None
+        if lanes is None:
+            self._each[0].instance.expect(n * self._steps)
+        structs = (ctypes.c_void_p * many)(*(ctypes.addressof(run.struct) for run in self._each))
+        while begun < n:
+            done = self._lib.ph_runs_take(
+                structs, many, lanes, rows[begun:].ctypes.data, self._width, constants[begun:].ctypes.data, n - begun,
+                values[begun:].ctypes.data, facts[begun:].ctypes.data, status[begun:].ctypes.data,
+            )  # fmt: skip
+            last = begun + (done - 1) // many * many
+            for i in range(last, begun + done):
+                if status[i] == STOPPED:
+                    raise Stopped
+                if status[i]:
+                    errors[i] = self._each[i - last].why(int(status[i]))
+            begun += done
+        return Outcome(values, facts[:, 0].astype(int), facts[:, 1].copy(), tuple(errors))
+
+    def _begin_lanes(self, n: int) -> None:
+        """Instances for runs side by side, once there are some."""
+        if not self._may or n < LANES:
+            return
+        self._may = False
+        self._lanes = lanes_of(self._each[0].instance, self._lib)
+        if self._lanes is not None:
+            self._each += [_Run(self._task, self._lib, self._stop) for _ in range(LANES - 1)]
+
+    @property
+    def side_by_side(self) -> tuple[int, int]:
+        """Steps that were taken with those of other runs, and since then alone."""
+        return (0, 0) if self._lanes is None else self._lanes.counts
+
+    def _constants(self, rows: NDArray[Any]) -> NDArray[Any]:
+        """The constant part of H in each run (n x components)."""
+        p, found = self._task.model.p0.copy(), np.zeros((len(rows), self._task.model.step.ncomp))
+        for row, own in zip(rows, found, strict=True):
+            for place, column in self._parameters:
+                p[place] = row[column]
+            own[:] = self._held.at(p) or 0.0
+        return found
+
+    def stop(self) -> None:
+        """From another thread: runs under way end with Stopped."""
+        self._stop[0] = 1
 
 
 def _schedule(task: ModelTask, places: Places) -> dict[str, list[dict[str, Any]]]:

@@ -5,6 +5,8 @@
  */
 #include "runs.h"
 
+#include "lanes.h"
+
 #include <math.h>
 #include <string.h>
 
@@ -165,49 +167,101 @@ static int consistent(const ph_runs *s) {
     return 1;
 }
 
-static int one(const ph_runs *s, const double *row, double *out, double *facts) {
-    int status = start(s, row);
-    open_accounts(s);
-    facts[0] = facts[1] = 0.0;
-    for (int i = 0; i < s->nstretch && !status; i++) {
-        const ph_runs_stretch *r = &s->stretches[i];
-        status = change(s, r);
-        if (i == 0 && !status) {
-            status = ph_refresh(s->in); /* for H */
-            if (!status && !consistent(s))
-                status = PH_RUNS_INCONSISTENT;
-            if (!status) {
-                count_stored(s);
-                begin(s, ph_signals(s->in), s->t0);
-            }
+/* A stretch begins: what it changes, and with the first one the run. */
+static int enter(const ph_runs *s, int i) {
+    int status = change(s, &s->stretches[i]);
+    if (i == 0 && !status) {
+        status = ph_refresh(s->in); /* for H */
+        if (!status && !consistent(s))
+            status = PH_RUNS_INCONSISTENT;
+        if (!status) {
+            count_stored(s);
+            begin(s, ph_signals(s->in), s->t0);
         }
-        for (int n = r->first; n < r->first + r->n && !status; n++) {
-            status = *(const volatile int *)s->stop ? PH_RUNS_STOPPED : 0;
-            if (!status)
-                status = ph_step(s->in, r->t + (double)n * r->h, r->h);
-            if (!status && s->refresh)
-                status = ph_refresh(s->in);
-            if (status)
-                break;
-            book(s);
-            facts[0] += 1.0;
-            add(s, ph_signals(s->in), r->t + (double)(n + 1) * r->h, r->h);
-        }
-    }
-    if (!status) {
-        facts[1] = ph_worst_share(s->accounts);
-        tell(s, s->length, out);
     }
     return status;
 }
 
-int ph_runs_take(const ph_runs *s, const double *rows, int width, const double *constants, int n, double *out,
-                 double *facts, int *done) {
-    int status = 0;
-    for (*done = 0; *done < n && !status; *done += !status) {
-        const ptrdiff_t i = *done;
-        memcpy(s->constant, constants + i * s->ncomp, sizeof(double) * (size_t)s->ncomp);
-        status = one(s, rows + i * width, out + i * s->nmeasure, facts + 2 * i);
-    }
+/* A step of a run that is not taken with others. */
+static int step(const ph_runs *s, double t, double h) {
+    int status = *(const volatile int *)s->stop ? PH_RUNS_STOPPED : 0;
+    if (!status)
+        status = ph_step(s->in, t, h);
+    if (!status && s->refresh)
+        status = ph_refresh(s->in);
     return status;
+}
+
+/* What a run with lanes looks at after a step: energies are at hand otherwise. */
+static void show(const ph_runs *s, const ph_lanes *lanes, int l) {
+    ph_lanes_show_ledger(lanes, l);
+    for (int i = 0; i < s->nmeasure; i++)
+        if (s->measures[i].first < s->energy)
+            ph_lanes_show(lanes, l, s->measures[i].first, s->measures[i].count);
+}
+
+/* Steps of a stretch of all runs whose status is zero. */
+static void march(const ph_runs *const *s, int many, ph_lanes *lanes, int i, double *facts, int *status) {
+    const ph_runs_stretch *r = &s[0]->stretches[i];
+    for (int n = r->first; n < r->first + r->n; n++) {
+        const double t = r->t + (double)n * r->h, end = r->t + (double)(n + 1) * r->h;
+        const unsigned taken = lanes && !*(const volatile int *)s[0]->stop ? ph_lanes_step(lanes, t, r->h) : 0;
+        for (int l = 0; l < many; l++) {
+            if (status[l])
+                continue;
+            if (taken >> l & 1) {
+                show(s[l], lanes, l);
+            } else {
+                status[l] = step(s[l], t, r->h);
+                if (status[l])
+                    continue;
+                if (lanes)
+                    ph_lanes_enter(lanes, l, s[l]->in);
+            }
+            book(s[l]);
+            facts[2 * l] += 1.0;
+            add(s[l], ph_signals(s[l]->in), end, r->h);
+        }
+    }
+}
+
+/* Runs side by side, which have the same stretches. */
+static void together(const ph_runs *const *s, int many, ph_lanes *lanes, const double *rows, int width,
+                     double *out, double *facts, int *status) {
+    for (int l = 0; l < many; l++) {
+        status[l] = start(s[l], rows + (ptrdiff_t)l * width);
+        open_accounts(s[l]);
+        facts[2 * l] = facts[2 * l + 1] = 0.0;
+    }
+    for (int i = 0; i < s[0]->nstretch; i++) {
+        if (lanes)
+            ph_lanes_leave(lanes);
+        for (int l = 0; l < many; l++)
+            if (!status[l])
+                status[l] = enter(s[l], i);
+        march(s, many, lanes, i, facts, status);
+    }
+    if (lanes)
+        ph_lanes_leave(lanes);
+    for (int l = 0; l < many; l++)
+        if (!status[l]) {
+            facts[2 * l + 1] = ph_worst_share(s[l]->accounts);
+            tell(s[l], s[l]->length, out + (ptrdiff_t)l * s[l]->nmeasure);
+        }
+}
+
+int ph_runs_take(const ph_runs *const *s, int many, void *lanes, const double *rows, int width,
+                 const double *constants, int n, double *out, double *facts, int *status) {
+    int done = 0, failed = 0;
+    while (done < n && !failed) {
+        const int all = many < n - done ? many : n - done;
+        const ptrdiff_t i = done;
+        for (int l = 0; l < all; l++)
+            memcpy(s[l]->constant, constants + (i + l) * s[l]->ncomp, sizeof(double) * (size_t)s[l]->ncomp);
+        together(s, all, lanes, rows + i * width, width, out + i * s[0]->nmeasure, facts + 2 * i, status + i);
+        for (int l = 0; l < all; l++)
+            failed |= status[i + l];
+        done += all;
+    }
+    return done;
 }

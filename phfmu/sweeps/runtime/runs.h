@@ -84,10 +84,11 @@ typedef struct ph_runs {
     double *varying; /* the larger of both, without what is constant if that is less */
 } ph_runs;
 
-/* Runs of n rows of values, with what of H is then constant [n*ncomp]; per run the measures, and the steps
- * and the worst ratio of what the ledger misses to what is allowed. Ends at the first run that fails: its
- * status, *done runs are told. */
-PH_API int ph_runs_take(const ph_runs *s, const double *rows, int width, const double *constants, int n,
-                        double *out, double *facts, int *done);
+/* Runs of n rows of values, with what of H is then constant [n*ncomp], `many` at a time, each with a structure of
+ * its own; lanes: steps them together, or NULL. Per run its status, the measures, and the steps and the worst ratio
+ * of what the ledger misses to what is allowed. Ends with those at a time of which one fails; how many runs were
+ * taken. */
+PH_API int ph_runs_take(const ph_runs *const *s, int many, void *lanes, const double *rows, int width,
+                        const double *constants, int n, double *out, double *facts, int *status);
 
 #endif
