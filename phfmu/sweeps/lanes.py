@@ -23,12 +23,12 @@ LANES = int(re.findall(r"#define PH_LANE_WIDTH (\d+)", (Path(__file__).parent / 
 class Lanes:
     """Memory of the steps of runs side by side, at `address`; `counts`: steps taken with others, and alone."""
 
-    def __init__(self, code: Interpreted, lib: ctypes.CDLL, model: int):
+    def __init__(self, code: Interpreted, lib: ctypes.CDLL, model: int, books: int):
         self._code, self._lib = code, lib
         size = lib.ph_lanes_size(model, code.address)
         self._memory = np.zeros(size // 8 + 9)
         self.address = -(-self._memory.ctypes.data // 64) * 64
-        self.fits = lib.ph_lanes_init(self.address, model, code.address) == 0
+        self.fits = lib.ph_lanes_init(self.address, model, code.address, books) == 0
 
     @property
     def counts(self) -> tuple[int, int]:
@@ -36,12 +36,14 @@ class Lanes:
         return found[0], found[1]
 
 
-def lanes_of(instance: NativeInstance, lib: ctypes.CDLL) -> Lanes | None:
-    """Lanes for runs of the model of an instance; None if it has a Schur stepper, constraints that may rest, factors that are
-    kept from step to step, or operations that are not interpreted.
+def lanes_of(instance: NativeInstance, lib: ctypes.CDLL, books: int) -> Lanes | None:
+    """Lanes for runs of the model of an instance, with the address of their books.
+
+    None if it has a Schur stepper, constraints that may rest, factors that are kept from step to step, or operations that are not
+    interpreted.
     """
     made = made_of(instance.model, instance.kind)
     if made.kernels.unknown:
         return None
-    lanes = Lanes(Interpreted(made.kernels, lib=lib, prefix="ph_wide_interpret"), lib, made.tables.pointer)
+    lanes = Lanes(Interpreted(made.kernels, lib=lib, prefix="ph_wide_interpret"), lib, made.tables.pointer, books)
     return lanes if lanes.fits else None

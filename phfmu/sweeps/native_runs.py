@@ -39,7 +39,9 @@ from phfmu.sweeps.words import KINDS
 RUNTIME = Path(__file__).parent / "runtime"
 #: kind of structure -> the field of `ph_runs` that lists them
 LISTS = {"place": "places", "change": "changes", "stretch": "stretches", "measure": "measures"}
-HEADER = Header((RUNTIME / "runs.h",), (*(f"ph_runs_{kind}" for kind in LISTS), "ph_runs"))
+HEADER = Header(
+    (RUNTIME / "runs.h", RUNTIME / "books.h"), (*(f"ph_runs_{kind}" for kind in LISTS), "ph_runs", "ph_books")
+)
 #: what runs.c answers for runs that were told to stop
 STOPPED = -2
 #: of each component: energies, see runs.h
@@ -69,9 +71,26 @@ def _library() -> ctypes.CDLL:
     lib.ph_runs_take.restype = integer
     lib.ph_runs_take.argtypes = [pointer, integer, pointer, pointer, integer, pointer, integer, *[pointer] * 3]
     lib.ph_lanes_size.argtypes, lib.ph_lanes_size.restype = [pointer, pointer], ctypes.c_size_t
-    lib.ph_lanes_init.argtypes, lib.ph_lanes_init.restype = [pointer, pointer, pointer], integer
+    lib.ph_lanes_init.argtypes, lib.ph_lanes_init.restype = [pointer] * 4, integer
     lib.ph_lanes_counts.argtypes, lib.ph_lanes_counts.restype = [pointer], ctypes.POINTER(ctypes.c_longlong)
     return lib
+
+
+class Books:
+    """ph_books, of one run or of `lanes` runs side by side."""
+
+    def __init__(self, task: ModelTask, instance: NativeInstance, lib: ctypes.CDLL, lanes: int = 1):
+        booking, memory, ncomp = Monolithic(task.model, instance).booking, Structures(HEADER), task.model.step.ncomp
+        # parts of junctions are not told of a sweep
+        booking = replace(booking, parts=(), divided={}) if booking.parts else booking
+        self._accounts = Ordinary(lib, booking, RunSums(), Judge(task.options.audit_rtol), lanes)
+        accounts, books = self._accounts.accounts
+        values = {
+            "ncomp": ncomp, "nbook": len(books) // lanes, "loses": int(task.model.loses_energy),
+            "accounts": accounts, "books": books.ctypes.data, **{name: np.zeros(lanes * ncomp) for name in ENERGIES},
+        }  # fmt: skip
+        self._memory, self._struct = memory, memory.fill("ph_books", values)
+        self.address = ctypes.addressof(self._struct)
 
 
 class _Run:
@@ -79,10 +98,7 @@ class _Run:
 
     def __init__(self, task: ModelTask, lib: ctypes.CDLL, stop: NDArray[Any]):
         self.instance, self._memory, self._stop = NativeInstance(task.model), Structures(HEADER), stop
-        books = Monolithic(task.model, self.instance).booking
-        # parts of junctions are not told of a sweep
-        books = replace(books, parts=(), divided={}) if books.parts else books
-        self._accounts = Ordinary(lib, books, RunSums(), Judge(task.options.audit_rtol))
+        self._books = Books(task, self.instance, lib)
         self.struct = self._memory.fill("ph_runs", self._values(task))
 
     def why(self, code: int) -> str:
@@ -116,20 +132,18 @@ class _Run:
             "p": plan.np,
             "x": plan.nx,
             "u": plan.nu,
-            **dict.fromkeys(ENERGIES, plan.ncomp),
         }
         work |= dict.fromkeys(("value", "held", "time"), len(measured))
-        found, (accounts, books) = layout["observables"], self._accounts.accounts
+        found = layout["observables"]
         return {
             "in": self.instance.handle.instance,
             **{n: getattr(plan, n) for n in ("np", "nx", "nu", "ncomp")},
             **{f"n{kind}": len(rows) for kind, rows in listed.items()},
             "ncheck": len(model.checks), "check": found.stop - len(model.checks), "energy": energies,
             "refresh": any(ends <= first < energies for _, first, _ in measured),
-            "t0": o.t0, "length": o.stop - o.t0, "loses": int(model.loses_energy),
+            "t0": o.t0, "length": o.stop - o.t0, "books": self._books.address,
             "stop": self._stop.ctypes.data,
             "p0": model.p0, "x0": model.x0, "u0": model.u0, "tolerance": CONSISTENCY * np.asarray(model.check_scale),
-            "accounts": accounts, "books": books.ctypes.data, "nbook": len(books),
             **lists, **{name: np.zeros(size) for name, size in work.items()},
         }  # fmt: skip
 
@@ -147,6 +161,8 @@ class NativeRuns:
         self._held, places = Constants(task.model), Places(task.model)
         named = [(p, j) for j, n in enumerate(task.names) for p in places.of(n)]
         self._parameters = [(p.index, j) for p, j in named if p.kind == PARAMETER]
+        own = self._held.parameters
+        self._varies = any(place in own for place, _ in self._parameters)
         self._lanes: Lanes | None = None
         self._may = lanes and not self._each[0].struct.refresh
 
@@ -180,7 +196,9 @@ class NativeRuns:
         if not self._may or n < LANES:
             return
         self._may = False
-        self._lanes = lanes_of(self._each[0].instance, self._lib)
+        instance = self._each[0].instance
+        self._books = Books(self._task, instance, self._lib, LANES)
+        self._lanes = lanes_of(instance, self._lib, self._books.address)
         if self._lanes is not None:
             self._each += [_Run(self._task, self._lib, self._stop) for _ in range(LANES - 1)]
 
@@ -190,8 +208,11 @@ class NativeRuns:
         return (0, 0) if self._lanes is None else self._lanes.counts
 
     def _constants(self, rows: NDArray[Any]) -> NDArray[Any]:
-        """The constant part of H in each run (n x components)."""
+        """The constant part of H in each run (n x components); asked for once where it does not depend on what varies."""
         p, found = self._task.model.p0.copy(), np.zeros((len(rows), self._task.model.step.ncomp))
+        if not self._varies:
+            found[:] = self._held.at(p) or 0.0
+            return found
         for row, own in zip(rows, found, strict=True):
             for place, column in self._parameters:
                 p[place] = row[column]

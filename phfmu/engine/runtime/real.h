@@ -17,6 +17,13 @@ typedef long long ph_truth __attribute__((vector_size(8 * PH_WIDTH), aligned(8))
 #define ph_abs(a) ((ph_real)((ph_truth)(a) & 0x7fffffffffffffffLL))
 #define ph_spread(a) ((a) - (ph_real){0.0}) /* the same number for all */
 #define PH_NOT(c) (~(c))
+#define PH_TRUE ((ph_truth){0} == 0)
+
+static inline ph_real ph_sqrt(ph_real a) {
+    for (int l = 0; l < PH_WIDTH; l++)
+        a[l] = sqrt(a[l]);
+    return a;
+}
 #else
 typedef double ph_real;
 typedef int ph_truth;
@@ -24,6 +31,8 @@ typedef int ph_truth;
 #define ph_abs(a) fabs(a)
 #define ph_spread(a) (a)
 #define PH_NOT(c) (!(c))
+#define PH_TRUE 1
+#define ph_sqrt(a) sqrt(a)
 #endif
 
 #endif

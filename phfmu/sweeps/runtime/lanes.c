@@ -16,13 +16,16 @@ size_t ph_lanes_size(const ph_model *model, const ph_code *code) {
 
 /* Models whose steps have nothing but Newton's method from the last one: no Schur stepper, no constraints that may
  * rest, no factors that are kept over steps. */
-int ph_lanes_init(void *memory, const ph_model *model, const ph_code *code) {
+int ph_lanes_init(void *memory, const ph_model *model, const ph_code *code, const ph_books *books) {
     const ph_plan *p = model->step;
     ph_lanes *lanes = memory;
     if (p->nw == 0 || p->nhold || p->keep_most || (p->schur && model->code->solver))
         return PH_ARGUMENT;
     memset(lanes, 0, sizeof(*lanes));
     lanes->wide = ph_wide_init((char *)memory + head(), model, code);
+    lanes->books = books;
+    for (int i = 0; i < PH_NROW; i++)
+        lanes->row[i] = ph_wide_arrays(lanes->wide)[ROWS + i].data;
     return PH_OK;
 }
 
@@ -45,8 +48,8 @@ static void place(const ph_array *rows, int l, const double *from) {
 static void leave(ph_lanes *lanes, int l) {
     const ph_array *rows = ph_wide_arrays(lanes->wide);
     ph_array own[PH_STATE_ARRAYS];
-    const int n = ph_state_arrays(lanes->in[l], own);
-    for (int i = 0; i < n; i++)
+    ph_state_arrays(lanes->in[l], own);
+    for (int i = 0; i < PH_STATE_ARRAYS; i++)
         take(&rows[i], l, own[i].data, 0, rows[i].n);
     lanes->inside &= ~(1U << l);
 }
@@ -67,6 +70,10 @@ void ph_lanes_enter(ph_lanes *lanes, int l, ph_instance *in) {
     const ph_array *rows = ph_wide_arrays(lanes->wide);
     ph_array own[PH_STATE_ARRAYS];
     lanes->in[l] = in;
+    lanes->alone++;
+    ph_state_arrays(in, own);
+    for (int i = ROWS; i < ROWS + PH_NROW; i++)
+        place(&rows[i], l, own[i].data);
     if (!in->step.lu.ready || *in->step.last_h == 0.0 || in->head->parts != 1 || in->head->placed)
         return;
     if (!lanes->inside) {
@@ -79,7 +86,7 @@ void ph_lanes_enter(ph_lanes *lanes, int l, ph_instance *in) {
         if (!alike(in, lanes->in[other]))
             return;
     }
-    for (int i = 0, n = ph_state_arrays(in, own); i < n; i++)
+    for (int i = 0; i < PH_STATE_ARRAYS; i++)
         place(&rows[i], l, own[i].data);
     lanes->inside |= 1U << l;
 }
@@ -117,8 +124,7 @@ void ph_lanes_show(const ph_lanes *lanes, int l, int first, int n) {
     take(&ph_wide_arrays(lanes->wide)[TABLE], l, (double *)lanes->in[l]->table, first, n);
 }
 
-void ph_lanes_show_ledger(const ph_lanes *lanes, int l) {
-    const ph_array *rows = ph_wide_arrays(lanes->wide) + ROWS;
-    for (int i = 0; i < PH_NROW; i++)
-        take(&rows[i], l, lanes->in[l]->row[i], 0, rows[i].n);
+void ph_lanes_show_energy(const ph_lanes *lanes, int l, double *energy) {
+    const ph_array now = {(double *)lanes->books->now, lanes->books->ncomp};
+    take(&now, l, energy, 0, now.n);
 }

@@ -1,8 +1,7 @@
 #ifndef PH_RUNS_H
 #define PH_RUNS_H
 
-#include "ordinary.h"
-#include "phfmu.h"
+#include "books.h"
 #include <stddef.h>
 
 /* Beside those of ph_status: the start violates a hidden constraint. */
@@ -72,16 +71,7 @@ typedef struct ph_runs {
     double *value;         /* nmeasure, as are the next two: sums and extremes, */
     double *held;          /* the last value, */
     double *time;          /* the time of the extreme */
-    ph_accounts *accounts; /* as a run has them, */
-    double *books;         /* nbook: and all that they add up */
-    int nbook;
-    int loses; /* whether the scheme has a numerical loss */
-    /* ncomp, as are all of the next: what of H is constant */
-    double *constant;
-    double *was;     /* stored energy at the start of the step, */
-    double *now;     /* at its end, */
-    double *carry;   /* and what its sum has lost to rounding */
-    double *varying; /* the larger of both, without what is constant if that is less */
+    const ph_books *books; /* of this run alone */
 } ph_runs;
 
 /* Runs of n rows of values, with what of H is then constant [n*ncomp], `many` at a time, each with a structure of
