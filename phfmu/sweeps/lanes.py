@@ -21,7 +21,10 @@ LANES = int(re.findall(r"#define PH_LANE_WIDTH (\d+)", (Path(__file__).parent / 
 
 
 class Lanes:
-    """Memory of the steps of runs side by side, at `address`; `counts`: steps taken with others, and alone."""
+    """Memory of the steps of runs side by side, at `address`, with the address of the books of all.
+
+    fits: whether the steps of the model can be taken so
+    """
 
     def __init__(self, code: Interpreted, lib: ctypes.CDLL, model: int, books: int):
         self._code, self._lib = code, lib
@@ -31,9 +34,9 @@ class Lanes:
         self.fits = lib.ph_lanes_init(self.address, model, code.address, books) == 0
 
     @property
-    def counts(self) -> tuple[int, int]:
-        found = self._lib.ph_lanes_counts(self.address)
-        return found[0], found[1]
+    def inside(self) -> int:
+        """Steps of runs that were taken with others."""
+        return self._lib.ph_lanes_taken(self.address)
 
 
 def lanes_of(instance: NativeInstance, lib: ctypes.CDLL, books: int) -> Lanes | None:

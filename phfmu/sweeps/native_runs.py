@@ -72,7 +72,7 @@ def _library() -> ctypes.CDLL:
     lib.ph_runs_take.argtypes = [pointer, integer, pointer, pointer, integer, pointer, integer, *[pointer] * 3]
     lib.ph_lanes_size.argtypes, lib.ph_lanes_size.restype = [pointer, pointer], ctypes.c_size_t
     lib.ph_lanes_init.argtypes, lib.ph_lanes_init.restype = [pointer] * 4, integer
-    lib.ph_lanes_counts.argtypes, lib.ph_lanes_counts.restype = [pointer], ctypes.POINTER(ctypes.c_longlong)
+    lib.ph_lanes_taken.argtypes, lib.ph_lanes_taken.restype = [pointer], ctypes.c_longlong
     return lib
 
 
@@ -173,6 +173,7 @@ class NativeRuns:
         values, facts, errors = np.full((n, self._count), np.nan), np.zeros((n, 2)), [""] * n
         status, constants, begun = np.zeros(n, np.intc), self._constants(rows), 0
         self._begin_lanes(n)
+        before = self._inside
         many, lanes = len(self._each), self._lanes.address if self._lanes else None
         if lanes is None:
             self._each[0].instance.expect(n * self._steps)
@@ -189,7 +190,8 @@ class NativeRuns:
                 if status[i]:
                     errors[i] = self._each[i - last].why(int(status[i]))
             begun += done
-        return Outcome(values, facts[:, 0].astype(int), facts[:, 1].copy(), tuple(errors))
+        steps = facts[:, 0].astype(int)
+        return Outcome(values, steps, facts[:, 1].copy(), tuple(errors), self._inside - before)
 
     def _begin_lanes(self, n: int) -> None:
         """Instances for runs side by side, once there are some."""
@@ -203,9 +205,9 @@ class NativeRuns:
             self._each += [_Run(self._task, self._lib, self._stop) for _ in range(LANES - 1)]
 
     @property
-    def side_by_side(self) -> tuple[int, int]:
-        """Steps that were taken with those of other runs, and since then alone."""
-        return (0, 0) if self._lanes is None else self._lanes.counts
+    def _inside(self) -> int:
+        """Steps that were taken with those of other runs."""
+        return 0 if self._lanes is None else self._lanes.inside
 
     def _constants(self, rows: NDArray[Any]) -> NDArray[Any]:
         """The constant part of H in each run (n x components); asked for once where it does not depend on what varies."""

@@ -29,8 +29,8 @@ int ph_lanes_init(void *memory, const ph_model *model, const ph_code *code, cons
     return PH_OK;
 }
 
-const long long *ph_lanes_counts(const void *memory) {
-    return &((const ph_lanes *)memory)->taken;
+long long ph_lanes_taken(const ph_lanes *lanes) {
+    return lanes->taken;
 }
 
 /* Numbers of run l: out of the rows of all runs, or into them. */
@@ -70,7 +70,6 @@ void ph_lanes_enter(ph_lanes *lanes, int l, ph_instance *in) {
     const ph_array *rows = ph_wide_arrays(lanes->wide);
     ph_array own[PH_STATE_ARRAYS];
     lanes->in[l] = in;
-    lanes->alone++;
     ph_state_arrays(in, own);
     for (int i = ROWS; i < ROWS + PH_NROW; i++)
         place(&rows[i], l, own[i].data);

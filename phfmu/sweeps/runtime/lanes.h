@@ -10,8 +10,7 @@ typedef struct ph_lanes {
     ph_wide *wide;
     ph_instance *in[PH_LANE_WIDTH]; /* where the numbers of a run are while it is not inside */
     unsigned inside;                /* bit l: run l is stepped with the others */
-    long long taken;                /* steps of runs inside since the start, */
-    long long alone;                /* and of others */
+    long long taken;                /* steps of runs inside since the start */
     const ph_books *books;          /* of all runs, compiled for these */
     double *row[PH_NROW];           /* ledger of the last step of each */
 } ph_lanes;
@@ -19,8 +18,8 @@ typedef struct ph_lanes {
 PH_API size_t ph_lanes_size(const ph_model *model, const ph_code *code);
 /* PH_ARGUMENT: steps of the model are not those of wide.h. */
 PH_API int ph_lanes_init(void *memory, const ph_model *model, const ph_code *code, const ph_books *books);
-/* Steps inside and alone. */
-PH_API const long long *ph_lanes_counts(const void *memory);
+/* Steps that runs have taken inside. */
+PH_API long long ph_lanes_taken(const ph_lanes *lanes);
 
 /* All runs have their numbers in their instances again. */
 void ph_lanes_leave(ph_lanes *lanes);
