@@ -42,8 +42,7 @@ class Lanes:
 def lanes_of(instance: NativeInstance, lib: ctypes.CDLL, books: int) -> Lanes | None:
     """Lanes for runs of the model of an instance, with the address of their books.
 
-    None if it has a Schur stepper, constraints that may rest, factors that are kept from step to step, or operations that are not
-    interpreted.
+    None if it has a Schur stepper, constraints that may rest, or operations that are not interpreted.
     """
     made = made_of(instance.model, instance.kind)
     if made.kernels.unknown:

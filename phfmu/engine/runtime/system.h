@@ -227,6 +227,8 @@ static inline void ph_clear(ph_real *values, int n) {
  * are set too. */
 size_t ph_lay_out(ph_instance *in, char *memory);
 int ph_state_arrays(ph_instance *in, ph_array *out);
+int ph_trusts(const ph_head *head);
+void ph_measure_trust(ph_head *head, int most, int trusts, int iterations, int factored);
 int ph_finite(const double *values, int n);
 ph_truth ph_weigh(ph_instance *in, double h);
 void ph_accept(ph_instance *in, double h, double from, double weight);

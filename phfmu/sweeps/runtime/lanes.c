@@ -15,11 +15,11 @@ size_t ph_lanes_size(const ph_model *model, const ph_code *code) {
 }
 
 /* Models whose steps have nothing but Newton's method from the last one: no Schur stepper, no constraints that may
- * rest, no factors that are kept over steps. */
+ * rest. */
 int ph_lanes_init(void *memory, const ph_model *model, const ph_code *code, const ph_books *books) {
     const ph_plan *p = model->step;
     ph_lanes *lanes = memory;
-    if (p->nw == 0 || p->nhold || p->keep_most || (p->schur && model->code->solver))
+    if (p->nw == 0 || p->nhold || (p->schur && model->code->solver))
         return PH_ARGUMENT;
     memset(lanes, 0, sizeof(*lanes));
     lanes->wide = ph_wide_init((char *)memory + head(), model, code);
@@ -51,6 +51,11 @@ static void leave(ph_lanes *lanes, int l) {
     ph_state_arrays(lanes->in[l], own);
     for (int i = 0; i < PH_STATE_ARRAYS; i++)
         take(&rows[i], l, own[i].data, 0, rows[i].n);
+    if (lanes->in[l]->head->kept) {
+        const ph_array kept = ph_wide_kept(lanes->wide);
+        take(&kept, l, lanes->in[l]->step.kept, 0, kept.n);
+        lanes->in[l]->step.holds = 0;
+    }
     lanes->inside &= ~(1U << l);
 }
 
@@ -87,11 +92,16 @@ void ph_lanes_enter(ph_lanes *lanes, int l, ph_instance *in) {
     }
     for (int i = 0; i < PH_STATE_ARRAYS; i++)
         place(&rows[i], l, own[i].data);
+    if (in->head->kept)
+        ph_wide_recall(lanes->wide, l, in->step.kept);
     lanes->inside |= 1U << l;
 }
 
 /* What the step of a run inside leaves in the head of its instance. */
-static void follow(ph_instance *in, double h) {
+static void follow(ph_instance *in, double h, int iterations, int factored) {
+    const int most = in->step.plan->keep_most;
+    ph_measure_trust(in->head, most, ph_trusts(in->head), iterations, factored);
+    in->head->kept = most > 0;
     *in->step.last_h = h;
     in->head->step_h = h;
     in->head->theta = 1.0;
@@ -100,12 +110,16 @@ static void follow(ph_instance *in, double h) {
 }
 
 unsigned ph_lanes_step(ph_lanes *lanes, double t, double h) {
-    unsigned solved = 0;
+    ph_wide_cost cost;
+    unsigned solved = 0, trusting = 0;
     for (int l = 0; l < PH_LANE_WIDTH; l++)
         if (lanes->inside >> l & 1 && ph_is_sliver(lanes->in[l], t, h))
             leave(lanes, l);
+    for (int l = 0; l < PH_LANE_WIDTH; l++)
+        if (lanes->inside >> l & 1 && ph_trusts(lanes->in[l]->head))
+            trusting |= 1U << l;
     if (lanes->inside && isfinite(t + h) && h != 0.0)
-        solved = ph_wide_solve(lanes->wide, t, h, lanes->inside);
+        solved = ph_wide_solve(lanes->wide, t, h, lanes->inside, trusting, &cost);
     for (int l = 0; l < PH_LANE_WIDTH; l++)
         if ((lanes->inside & ~solved) >> l & 1)
             leave(lanes, l);
@@ -113,7 +127,7 @@ unsigned ph_lanes_step(ph_lanes *lanes, double t, double h) {
         ph_wide_accept(lanes->wide, t, h);
     for (int l = 0; l < PH_LANE_WIDTH; l++)
         if (solved >> l & 1) {
-            follow(lanes->in[l], h);
+            follow(lanes->in[l], h, cost.iterations[l], cost.factored >> l & 1);
             lanes->taken++;
         }
     return solved;

@@ -52,6 +52,7 @@ struct ph_wide {
     ph_real *inverse;
     ph_real *scale;
     ph_real *factored;
+    unsigned recalled; /* runs whose factors are to be made from s->kept */
 };
 
 static unsigned bits(ph_truth c) {
@@ -134,13 +135,32 @@ static void copy(ph_real *to, const ph_real *from, int n) {
     memcpy(to, from, sizeof(ph_real) * (size_t)n);
 }
 
-/* New factors of the `fresh` runs; those of which a pivot is too small. `kept` ones have what they had. */
+void ph_wide_recall(ph_wide *w, int l, const double *kept) {
+    ph_real *matrix = w->in.step.kept;
+    for (int e = 0; e < w->model.step->nnz; e++)
+        matrix[e][l] = kept[e];
+    w->recalled |= 1U << l;
+}
+
+ph_array ph_wide_kept(const ph_wide *w) {
+    return (ph_array){(double *)w->in.step.factored, w->model.step->nnz};
+}
+
+/* Runs whose matrix is another one than that of their factors. */
+static unsigned changed(const ph_system *s) {
+    ph_truth found = {0};
+    for (int e = 0; e < s->plan->nnz; e++)
+        found |= (ph_truth)s->a[e] ^ (ph_truth)s->factored[e];
+    return bits(found);
+}
+
+/* New factors of the `fresh` runs at the present matrix; those of which a pivot is too small. `kept` ones have
+ * what they had. */
 static unsigned factor(ph_wide *w, unsigned fresh, unsigned kept) {
     ph_system *s = &w->in.step;
     ph_lu *lu = &s->lu;
     const int n = s->plan->nw, nnz = s->plan->nnz, entries = lu->start[n];
     const ph_truth taken = truth(~kept);
-    ph_eval_matrix(s);
     if (kept) {
         copy(w->value, lu->value, entries);
         copy(w->inverse, lu->inverse, n);
@@ -158,22 +178,25 @@ static unsigned factor(ph_wide *w, unsigned fresh, unsigned kept) {
 }
 
 /* Newton's method from the w in Y; the runs that it has solved. */
-static unsigned newton(ph_wide *w, unsigned going) {
+static unsigned newton(ph_wide *w, unsigned going, unsigned keeping, ph_wide_cost *cost) {
     ph_system *s = &w->in.step;
     const int n = s->plan->nw;
     ph_course course[PH_WIDTH];
     unsigned found = 0;
     ph_real sum;
     for (int l = 0; l < PH_WIDTH; l++)
-        course[l] = ph_course_begun(PH_CHORD);
+        course[l] = ph_course_begun(keeping >> l & 1 ? PH_KEPT : PH_CHORD);
     for (int i = 1; going && i <= PH_NEWTON_ITERATIONS; i++) {
-        unsigned fresh = 0;
+        unsigned fresh = 0, astray = 0;
         ph_real update;
         for (int l = 0; l < PH_WIDTH; l++)
             fresh |= (going >> l & 1 && !course[l].chord ? 1U : 0U) << l;
         ph_eval(s, fresh != 0, 0);
-        if (fresh)
+        if (fresh) {
+            ph_eval_matrix(s);
+            cost->factored |= changed(s) & fresh;
             going &= ~factor(w, fresh, (going | found) & ~fresh);
+        }
         sum = scale_residual(s);
         going &= bits(sum - sum == 0.0);
         ph_lu_solve(&s->lu, s->rhs, s->dw);
@@ -184,14 +207,22 @@ static unsigned newton(ph_wide *w, unsigned going) {
             ph_verdict verdict;
             if (!(going >> l & 1))
                 continue;
+            cost->iterations[l] = i;
             if (isfinite(update[l])) {
                 ph_course_watch(&course[l], update[l]);
                 verdict = ph_course_verdict(&course[l]);
                 found |= (verdict == PH_SOLVED ? 1U : 0U) << l;
-                if (verdict == PH_UNSOLVED && !ph_course_goes_on(&course[l], PH_CHORD))
+                if (verdict == PH_UNSOLVED) {
+                    astray |= (unsigned)ph_course_goes_on(&course[l], PH_CHORD) << l;
                     continue;
+                }
             }
             going &= ~(1U << l);
+        }
+        if (astray) { /* as for one run: rounding makes it not quite what it was */
+            copy(s->base, s->y, n);
+            correct(s, s->base, -1.0);
+            blend(s->y, s->base, n, truth(astray));
         }
     }
     if (!found)
@@ -208,16 +239,30 @@ static unsigned newton(ph_wide *w, unsigned going) {
     return found & bits(sum == 0.0);
 }
 
-unsigned ph_wide_solve(ph_wide *w, double t, double h, unsigned wanted) {
+/* The factors of the runs that have entered with a kept matrix; those that cannot be had. */
+static unsigned recall(ph_wide *w, unsigned wanted) {
+    ph_system *s = &w->in.step;
+    const unsigned recalled = w->recalled & wanted;
+    w->recalled = 0;
+    if (!recalled)
+        return 0;
+    copy(s->a, s->kept, s->plan->nnz);
+    s->hp[1] = NAN; /* its constant entries may belong to another step size */
+    return factor(w, recalled, wanted & ~recalled);
+}
+
+unsigned ph_wide_solve(ph_wide *w, double t, double h, unsigned wanted, unsigned trusting, ph_wide_cost *cost) {
     ph_instance *in = &w->in;
     ph_system *s = &in->step;
     ph_real *time = in->table + s->plan->nx, before = *time;
     unsigned solved;
+    *cost = (ph_wide_cost){0};
+    wanted &= ~recall(w, wanted);
     *time = ph_spread(t);
     ph_resample(in, 0.0, 1.0, s->y + s->plan->nw);
     ph_eval_h(s, h);
     start_guess(s, s->last, h / *s->last_h);
-    solved = newton(w, wanted);
+    solved = newton(w, wanted, h == *s->last_h ? trusting : 0, cost);
     if (solved)
         solved &= ~bits(ph_weigh(in, h));
     *time = before;
