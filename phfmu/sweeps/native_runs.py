@@ -98,6 +98,7 @@ class _Run:
 
     def __init__(self, task: ModelTask, lib: ctypes.CDLL, stop: NDArray[Any]):
         self.instance, self._memory, self._stop = NativeInstance(task.model), Structures(HEADER), stop
+        self._model = task.model
         self._books = Books(task, self.instance, lib)
         self.struct = self._memory.fill("ph_runs", self._values(task))
 
@@ -105,7 +106,7 @@ class _Run:
         """The error of the run that has ended with this status."""
         try:
             if code < 0:
-                require_consistent(self.instance.model, self.instance)
+                require_consistent(self._model, self.instance)
             self.instance.handle.check(code)
         except (StepFailure, InconsistentState) as error:
             return str(error)

@@ -32,8 +32,9 @@ static inline ph_real ph_most(ph_real a, ph_real b) {
 /* Energies in play in a step: `inside` the component, and `pairs`, the sum of |energy| through its port
  * pairs. */
 static inline ph_real ph_in_play(ph_real inside, ph_real stored, ph_real supplied, ph_real dissipated,
-                                ph_real numerical, ph_real pairs) {
-    return ph_most(ph_abs(inside), ph_abs(stored)) + ph_abs(supplied) + ph_abs(dissipated) + ph_abs(numerical) + pairs;
+                                 ph_real numerical, ph_real pairs) {
+    return ph_most(ph_abs(inside), ph_abs(stored)) + ph_abs(supplied) + ph_abs(dissipated) +
+           ph_abs(numerical) + pairs;
 }
 
 /* What a residual may be in a step; `reach`: the most in play so far, the sum of the changes of H included;

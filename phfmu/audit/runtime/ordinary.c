@@ -122,7 +122,7 @@ static ph_truth judge_components(ph_accounts *b, size i, const ph_row *r) {
     for (size k = 0; k < b->c; k++) {
         const size at = i * b->c + k;
         const ph_real dissipated = b->dissipated[at], supplied = b->supplied[at],
-                     residual = ph_abs(r->residual[k]);
+                      residual = ph_abs(r->residual[k]);
         const ph_real relation = ph_where(b->stirred[k] == 0.0, r->reach, ph_spread(0.0));
         const ph_real in_step = ph_allowed(b->rtol, r->in_play[k], b->reach[k], ph_spread(0.0));
         const ph_real allowed = ph_allowed(b->rtol, r->in_play[k], b->reach[k], b->varying[at] + relation);

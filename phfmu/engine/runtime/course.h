@@ -40,7 +40,8 @@ static inline ph_verdict ph_course_verdict(const ph_course *c) {
     const int crawls = ratio > PH_CRAWL && ratio < 1.0;
     if (c->update == 0.0)
         return PH_SOLVED;
-    if (c->chord && !isfinite(c->previous)) /* the first update of a factor from before says nothing of the next */
+    if (c->chord &&
+        !isfinite(c->previous)) /* the first update of a factor from before says nothing of the next */
         return PH_UNSOLVED;
     if (c->update <= PH_TOLERANCE && (!c->grew || c->previous <= PH_TOLERANCE) &&
         ratio * ratio * c->update <= PH_ROUNDING)

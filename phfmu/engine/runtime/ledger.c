@@ -38,9 +38,9 @@ static ph_truth beyond(const ph_real *restrict values, int n) {
     return found;
 }
 
-/* Energies of a solved part of length h: in->stored, moved, lost, numerical, energies and means. True if it is refused, as
- * they, the states, or the sums they go into are so large that these may not be finite. Nothing of the state
- * changes. */
+/* Energies of a solved part of length h: in->stored, moved, lost, numerical, energies and means. True if it
+ * is refused, as they, the states, or the sums they go into are so large that these may not be finite.
+ * Nothing of the state changes. */
 ph_truth ph_weigh(ph_instance *in, double h) {
     ph_system *s = &in->step;
     const ph_plan *p = s->plan;

@@ -178,8 +178,8 @@ static int is_chosen(const ph_lu *lu, int j, double pivot, double others, const 
 #endif
 
 /* New numbers for the pattern and the pivots there are, the same operations in the same order as the full
- * factorisation; of several runs those are told that refuse it. searched: by these very pivots, those of a search; else as long as none is too small beside
- * its column. */
+ * factorisation; of several runs those are told that refuse it. searched: by these very pivots, those of a
+ * search; else as long as none is too small beside its column. */
 static inline int repeat(ph_lu *lu, const ph_real *a, int searched) {
     ph_real *restrict x = lu->work;
     ph_real *restrict value = lu->value;

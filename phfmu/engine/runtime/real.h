@@ -1,6 +1,7 @@
-/* The numbers that a step works on: one number each, or, where PH_WIDTH is defined, those of so many runs of one
- * model side by side, which go through the same operations. Sources that are compiled for both have decisions on
- * numbers in the words below; a step of the second kind leaves the runs for which any of them is unusual. */
+/* The numbers that a step works on: one number each, or, where PH_WIDTH is defined, those of so many runs of
+ * one model side by side, which go through the same operations. Sources that are compiled for both have
+ * decisions on numbers in the words below; a step of the second kind leaves the runs for which any of them is
+ * unusual. */
 #ifndef PH_REAL_H
 #define PH_REAL_H
 
@@ -8,7 +9,8 @@
 
 #ifdef PH_WIDTH
 #ifdef __GNUC__
-#pragma GCC diagnostic ignored "-Wpsabi" /* nothing of this type goes from one compiler's code to another's */
+#pragma GCC diagnostic ignored "-Wpsabi" /* nothing of this type goes from one compiler's code to another's  \
+                                          */
 #endif
 typedef double ph_real __attribute__((vector_size(8 * PH_WIDTH), aligned(8)));
 typedef long long ph_truth __attribute__((vector_size(8 * PH_WIDTH), aligned(8)));

@@ -14,15 +14,15 @@ typedef struct ph_lu {
     int *pivot, *where; /* n each, inverse permutations of each other */
     int *start, *lower; /* n+1, n */
     int *index;         /* capacity */
-    ph_real *value;      /* capacity */
-    ph_real *inverse;    /* n */
+    ph_real *value;     /* capacity */
+    ph_real *inverse;   /* n */
     int *place;         /* nnz: where[rowind] */
-    ph_real *work;       /* n, zero between calls */
+    ph_real *work;      /* n, zero between calls */
     int *mark, *stack, *child;
-    int failed; /* column without a pivot */
-    int known;  /* pivots and their pattern are those of the last factors */
-    int ready;  /* and the next factors are to have them too */
-    int filled; /* the numbers are valid */
+    int failed;       /* column without a pivot */
+    int known;        /* pivots and their pattern are those of the last factors */
+    int ready;        /* and the next factors are to have them too */
+    int filled;       /* the numbers are valid */
     ph_truth refused; /* of several runs: a pivot has become too small */
 } ph_lu;
 
@@ -44,29 +44,29 @@ struct ph_system {
     const ph_real *x, *p;
     const ph_real *rest; /* nx: what compensated summation still owes x, to be subtracted */
     ph_real *last;       /* nw: last converged unknowns */
-    double *last_h;     /* step they belong to, 0 = start values */
-    int *pivot;         /* nw, pivots the state remembers; pivot[0] = -1: none */
+    double *last_h;      /* step they belong to, 0 = start values */
+    int *pivot;          /* nw, pivots the state remembers; pivot[0] = -1: none */
     ph_real *kept; /* nnz if factors are kept over steps: the A of the factor at the end of the last step */
-    int *rests;   /* nhold, one for both systems: PH_RESTS = left out */
+    int *rests;    /* nhold, one for both systems: PH_RESTS = left out */
 
-    ph_real *y;           /* nv+nz */
-    ph_real *r;           /* nrow */
-    ph_real *v;           /* nslot */
-    ph_real *a;           /* nnz */
-    ph_real *factored;    /* nnz: the A in the factor */
-    ph_real *scaled;      /* nnz */
-    ph_real *scale;       /* nw */
-    ph_real *rhs;         /* nw */
-    ph_real *dw;          /* nw */
-    ph_real *base;        /* nw */
-    ph_real *loose;       /* nw if constraints may rest: a solution found with delta, see attempts.c */
+    ph_real *y;          /* nv+nz */
+    ph_real *r;          /* nrow */
+    ph_real *v;          /* nslot */
+    ph_real *a;          /* nnz */
+    ph_real *factored;   /* nnz: the A in the factor */
+    ph_real *scaled;     /* nnz */
+    ph_real *scale;      /* nw */
+    ph_real *rhs;        /* nw */
+    ph_real *dw;         /* nw */
+    ph_real *base;       /* nw */
+    ph_real *loose;      /* nw if constraints may rest: a solution found with delta, see attempts.c */
     double *fixed;       /* nnz: constant part of A at this h */
     double *products;    /* varying_value h^power */
     double *derivatives; /* derivative_value h^power */
-    ph_real *blocks;      /* nderivative */
+    ph_real *blocks;     /* nderivative */
     double *constants;   /* const_val h^pow */
-    ph_real *gap;         /* nhold: what the constraints that rest miss */
-    ph_real *spread;      /* 2 nhold k + 4 k: work of ph_rest_spread */
+    ph_real *gap;        /* nhold: what the constraints that rest miss */
+    ph_real *spread;     /* 2 nhold k + 4 k: work of ph_rest_spread */
     double hp[3];        /* 1, h, h^2 */
     ph_lu lu;
     int resting; /* constraints left out */
@@ -188,20 +188,20 @@ struct ph_instance {
     ph_real *rest;       /* nx: what compensated summation still owes x */
     ph_real *table_rest; /* nq + 3 ncomp: the same for the cumulative energies */
     ph_real *row[PH_NROW];
-    ph_real *u;               /* nu*k */
-    ph_real *p;               /* np */
-    ph_real *x_old;           /* nx+1+na: states, time, algebraic variables at the start of the last step */
-    ph_real *u_old;           /* nu*k: inputs of the last step */
-    ph_real *first;           /* nw: unknowns it began from, if it took more than one solve */
-    ph_real *y_node;          /* nq*k: pair outputs at the nodes of the last step; none if k = 1 */
+    ph_real *u;              /* nu*k */
+    ph_real *p;              /* np */
+    ph_real *x_old;          /* nx+1+na: states, time, algebraic variables at the start of the last step */
+    ph_real *u_old;          /* nu*k: inputs of the last step */
+    ph_real *first;          /* nw: unknowns it began from, if it took more than one solve */
+    ph_real *y_node;         /* nq*k: pair outputs at the nodes of the last step; none if k = 1 */
     ph_rest_change *changes; /* PH_KEPT_CHANGES if constraints may rest */
 
     /* Work space. */
     ph_system step, instant;
-    void *schur;       /* work space of the Schur stepper, or NULL */
-    int fast;          /* 1: the Schur stepper has solved the last part */
-    int planned;       /* 1: those constraints rest that the Schur stepper leaves out */
-    void *backup;      /* state_size */
+    void *schur;        /* work space of the Schur stepper, or NULL */
+    int fast;           /* 1: the Schur stepper has solved the last part */
+    int planned;        /* 1: those constraints rest that the Schur stepper leaves out */
+    void *backup;       /* state_size */
     ph_real *stored;    /* ncomp */
     ph_real *moved;     /* ncomp */
     ph_real *lost;      /* ncomp */
@@ -209,7 +209,7 @@ struct ph_instance {
     ph_real *energies;  /* nq: of the pairs, inputs times outputs */
     ph_real *means;     /* nq: of their outputs */
     ph_real *unspread;  /* nw if constraints may rest: unknowns before ph_rest_spread */
-    double *basis;     /* k */
+    double *basis;      /* k */
     ph_real *change;    /* nx */
     ph_chain chain;
     ph_tape *tape;   /* or NULL */

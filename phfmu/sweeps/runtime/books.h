@@ -1,5 +1,5 @@
-/* The ledger of a sweep's runs, booked and judged step by step: of one run, or, compiled for these (real.h), of those
- * whose steps are taken side by side. The Python side reads the fields: one a line. */
+/* The ledger of a sweep's runs, booked and judged step by step: of one run, or, compiled for these (real.h),
+ * of those whose steps are taken side by side. The Python side reads the fields: one a line. */
 #ifndef PH_BOOKS_H
 #define PH_BOOKS_H
 

@@ -14,8 +14,8 @@ size_t ph_lanes_size(const ph_model *model, const ph_code *code) {
     return head() + ph_wide_size(model, code);
 }
 
-/* Models whose steps have nothing but Newton's method from the last one: no Schur stepper, no constraints that may
- * rest. */
+/* Models whose steps have nothing but Newton's method from the last one: no Schur stepper, no constraints
+ * that may rest. */
 int ph_lanes_init(void *memory, const ph_model *model, const ph_code *code, const ph_books *books) {
     const ph_plan *p = model->step;
     ph_lanes *lanes = memory;

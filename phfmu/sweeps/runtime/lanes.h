@@ -1,5 +1,5 @@
-/* Runs of one model whose steps are taken together as long as nothing unusual happens to them: the bits of each are
- * those of steps of its own. */
+/* Runs of one model whose steps are taken together as long as nothing unusual happens to them: the bits of
+ * each are those of steps of its own. */
 #ifndef PH_LANES_OF_RUNS_H
 #define PH_LANES_OF_RUNS_H
 
@@ -23,7 +23,8 @@ PH_API long long ph_lanes_taken(const ph_lanes *lanes);
 
 /* All runs have their numbers in their instances again. */
 void ph_lanes_leave(ph_lanes *lanes);
-/* After a step of the instance of run l: its ledger is with the others, and the run goes on inside if it can. */
+/* After a step of the instance of run l: its ledger is with the others, and the run goes on inside if it can.
+ */
 void ph_lanes_enter(ph_lanes *lanes, int l, ph_instance *in);
 /* One step of the runs inside; those that took it. The others of them have left. */
 unsigned ph_lanes_step(ph_lanes *lanes, double t, double h);

@@ -80,7 +80,8 @@ static void tell(const ph_runs *s, double length, double *out) {
     }
 }
 
-/* Runs side by side, which have the same stretches; each with what it works on. lanes: NULL if there is one. */
+/* Runs side by side, which have the same stretches; each with what it works on. lanes: NULL if there is one.
+ */
 typedef struct {
     const ph_runs *const *each;
     int many;
@@ -179,7 +180,8 @@ static int step(const ph_runs *s, double t, double h) {
     return status;
 }
 
-/* One step of the runs whose status is zero, and into the books with it; those that took it inside the lanes. */
+/* One step of the runs whose status is zero, and into the books with it; those that took it inside the lanes.
+ */
 static unsigned step_all(const ph_runs_group *g, double t, double h, int *status) {
     ph_lanes *lanes = g->lanes;
     const int stopped = *(const volatile int *)g->each[0]->stop;
@@ -230,7 +232,8 @@ static void march(const ph_runs_group *g, int i, double *facts, int *status) {
     }
 }
 
-static void take(const ph_runs_group *g, const double *rows, int width, double *out, double *facts, int *status) {
+static void take(const ph_runs_group *g, const double *rows, int width, double *out, double *facts,
+                 int *status) {
     double share[PH_LANE_WIDTH];
     open_books(g);
     for (int l = 0; l < g->many; l++) {

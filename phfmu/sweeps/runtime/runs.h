@@ -74,10 +74,10 @@ typedef struct ph_runs {
     const ph_books *books; /* of this run alone */
 } ph_runs;
 
-/* Runs of n rows of values, with what of H is then constant [n*ncomp], `many` at a time, each with a structure of
- * its own; lanes: steps them together, or NULL. Per run its status, the measures, and the steps and the worst ratio
- * of what the ledger misses to what is allowed. Ends with those at a time of which one fails; how many runs were
- * taken. */
+/* Runs of n rows of values, with what of H is then constant [n*ncomp], `many` at a time, each with a
+ * structure of its own; lanes: steps them together, or NULL. Per run its status, the measures, and the steps
+ * and the worst ratio of what the ledger misses to what is allowed. Ends with those at a time of which one
+ * fails; how many runs were taken. */
 PH_API int ph_runs_take(const ph_runs *const *s, int many, void *lanes, const double *rows, int width,
                         const double *constants, int n, double *out, double *facts, int *status);
 

@@ -1,5 +1,5 @@
-/* See wide.h. The sources of a step once more, with vectors as their numbers, and Newton's method with a decision
- * for each run. */
+/* See wide.h. The sources of a step once more, with vectors as their numbers, and Newton's method with a
+ * decision for each run. */
 #define PH_WIDTH 8 /* PH_LANE_WIDTH */
 
 #define ph_accept ph_wide_accept_
@@ -154,8 +154,8 @@ static unsigned changed(const ph_system *s) {
     return bits(found);
 }
 
-/* New factors of the `fresh` runs at the present matrix; those of which a pivot is too small. `kept` ones have
- * what they had. */
+/* New factors of the `fresh` runs at the present matrix; those of which a pivot is too small. `kept` ones
+ * have what they had. */
 static unsigned factor(ph_wide *w, unsigned fresh, unsigned kept) {
     ph_system *s = &w->in.step;
     ph_lu *lu = &s->lu;
@@ -251,7 +251,8 @@ static unsigned recall(ph_wide *w, unsigned wanted) {
     return factor(w, recalled, wanted & ~recalled);
 }
 
-unsigned ph_wide_solve(ph_wide *w, double t, double h, unsigned wanted, unsigned trusting, ph_wide_cost *cost) {
+unsigned ph_wide_solve(ph_wide *w, double t, double h, unsigned wanted, unsigned trusting,
+                       ph_wide_cost *cost) {
     ph_instance *in = &w->in;
     ph_system *s = &in->step;
     ph_real *time = in->table + s->plan->nx, before = *time;

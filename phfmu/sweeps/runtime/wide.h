@@ -1,6 +1,6 @@
-/* Steps of PH_WIDTH runs of one model at a time, each number of the runtime being a vector with one of each: the
- * plain way of a step, Newton's method from the last step with the pivots that there are. A run that anything
- * unusual happens to is left out, and its numbers stay. */
+/* Steps of PH_WIDTH runs of one model at a time, each number of the runtime being a vector with one of each:
+ * the plain way of a step, Newton's method from the last step with the pivots that there are. A run that
+ * anything unusual happens to is left out, and its numbers stay. */
 #ifndef PH_WIDE_H
 #define PH_WIDE_H
 
@@ -29,9 +29,10 @@ typedef struct ph_wide_cost {
     unsigned factored; /* runs with a factor of another matrix than before */
 } ph_wide_cost;
 
-/* Solves a step of the runs whose bits are in `wanted`, the `trusting` ones from the factors that they have kept;
- * those that did it, of which nothing moves yet. */
-unsigned ph_wide_solve(ph_wide *w, double t, double h, unsigned wanted, unsigned trusting, ph_wide_cost *cost);
+/* Solves a step of the runs whose bits are in `wanted`, the `trusting` ones from the factors that they have
+ * kept; those that did it, of which nothing moves yet. */
+unsigned ph_wide_solve(ph_wide *w, double t, double h, unsigned wanted, unsigned trusting,
+                       ph_wide_cost *cost);
 /* Takes the step that was solved; numbers of the others are not to be used any more. */
 void ph_wide_accept(ph_wide *w, double t, double h);
 
