@@ -126,8 +126,8 @@ TOGETHER = (
     ("oscillator", "mass1.k", "max(mass1.q)", 6, 1.0), ("two_machine", "line.R", "max(line.flux[1])", 2, 0.01),
     ("dc_motor", "R", "max(flux)", 2, 0.1),
 )  # fmt: skip
-SIDE_BY_SIDE = 400  # runs of a turn
-MORE_TURNS = 7
+SIDE_BY_SIDE = 160  # runs of a turn
+MORE_TURNS = 5
 
 
 @dataclass(frozen=True)
