@@ -44,6 +44,8 @@ HEADER = Header(
 )
 #: what runs.c answers for runs that were told to stop
 STOPPED = -2
+#: steps of a thread that earn what lanes take once: 10 to 50 ms for instances, books and programs
+PAYS = 20_000
 #: of each component: energies, see runs.h
 ENERGIES = ("constant", "was", "now", "carry", "varying")
 
@@ -150,8 +152,9 @@ class _Run:
 
 
 class NativeRuns:
-    """Takes runs, LANES at a time where their steps fit into lanes (`lanes.py`) unless `lanes` is False; another thread needs
-    another one.
+    """Takes runs; another thread needs another one.
+
+    LANES at a time where they have many steps that fit into lanes (`lanes.py`), unless `lanes` is False.
     """
 
     def __init__(self, task: ModelTask, lanes: bool = True):
@@ -165,6 +168,7 @@ class NativeRuns:
         own = self._held.parameters
         self._varies = any(place in own for place, _ in self._parameters)
         self._lanes: Lanes | None = None
+        self._expected = 0.0
         self._may = lanes and not self._each[0].struct.refresh
 
     def take(self, rows: NDArray[Any], first: int = 0) -> Outcome:
@@ -195,8 +199,9 @@ class NativeRuns:
         return Outcome(values, steps, facts[:, 1].copy(), tuple(errors), self._inside - before)
 
     def _begin_lanes(self, n: int) -> None:
-        """Instances for runs side by side, once there are some."""
-        if not self._may or n < LANES:
+        """Instances for runs side by side, once there are some, of steps enough."""
+        self._expected += n * self._steps
+        if not self._may or n < LANES or self._expected < PAYS:
             return
         self._may = False
         instance = self._each[0].instance

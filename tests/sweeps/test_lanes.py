@@ -10,6 +10,7 @@ import pytest
 from phfmu import PHDAE, Collocated, Event, NativeInstance, Options, Scene, block, energy, grid, parameter, skew, state
 from phfmu.components.library import build
 from phfmu.schemes.named import named_scheme
+from phfmu.sweeps import native_runs
 from phfmu.sweeps.lanes import LANES
 from phfmu.sweeps.native_runs import NativeRuns
 from phfmu.sweeps.outcome import Outcome
@@ -17,6 +18,12 @@ from phfmu.sweeps.recipe import Recipe
 from phfmu.sweeps.runs import sweep
 from phfmu.sweeps.task import ModelTask
 from tests.wide import wide
+
+
+@pytest.fixture(autouse=True)
+def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Side by side from the first step on."""
+    monkeypatch.setattr(native_runs, "PAYS", 0)
 
 
 def growing() -> PHDAE:
