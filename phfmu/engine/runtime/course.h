@@ -6,8 +6,8 @@
 
 /* An update this small, and smaller than the last one by this factor, lets the next iteration keep the
  * matrix: it contracts about as fast as a new one would, and the polish settles the rest. */
-#define PH_CHORD_UPDATE 1e-1
-#define PH_CONTRACTION 0.1
+#define CHORD 1e-1
+#define CONTRACTION 0.1
 
 typedef struct ph_course {
     double update, previous, least; /* the last update, the one before, the smallest before it */
@@ -63,8 +63,7 @@ static inline int ph_course_goes_on(ph_course *c, ph_newton_kind kind) {
     c->chord = 0;
     if (kept && c->update > c->previous)
         return 1;
-    c->chord = kind <= PH_CHORD && !c->grew && c->update <= PH_CHORD_UPDATE &&
-               c->update <= PH_CONTRACTION * c->previous;
+    c->chord = kind <= PH_CHORD && !c->grew && c->update <= CHORD && c->update <= CONTRACTION * c->previous;
     c->previous = c->update;
     return 0;
 }
