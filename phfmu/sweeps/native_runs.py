@@ -1,4 +1,4 @@
-"""Runs in compiled code: one call takes many, and only what is measured is worked out."""
+"""Runs in compiled code: one call takes many, side by side where that pays, and only what is measured is worked out."""
 
 from __future__ import annotations
 
@@ -30,6 +30,7 @@ from phfmu.outcome.status import StepFailure
 from phfmu.runs.loop import segments
 from phfmu.runs.march import pieces
 from phfmu.runs.stretches import stretches
+from phfmu.sweeps.lanes import LANES, Lanes, lanes_of
 from phfmu.sweeps.outcome import Outcome, Stopped
 from phfmu.sweeps.places import INPUT, PARAMETER, Places
 from phfmu.sweeps.task import ModelTask
@@ -38,9 +39,13 @@ from phfmu.sweeps.words import KINDS
 RUNTIME = Path(__file__).parent / "runtime"
 #: kind of structure -> the field of `ph_runs` that lists them
 LISTS = {"place": "places", "change": "changes", "stretch": "stretches", "measure": "measures"}
-HEADER = Header((RUNTIME / "runs.h",), (*(f"ph_runs_{kind}" for kind in LISTS), "ph_runs"))
+HEADER = Header(
+    (RUNTIME / "runs.h", RUNTIME / "books.h"), (*(f"ph_runs_{kind}" for kind in LISTS), "ph_runs", "ph_books")
+)
 #: what runs.c answers for runs that were told to stop
 STOPPED = -2
+#: steps of a thread that earn what lanes take once: 10 to 50 ms for instances, books and programs
+PAYS = 20_000
 #: of each component: energies, see runs.h
 ENERGIES = ("constant", "was", "now", "carry", "varying")
 
@@ -66,72 +71,51 @@ def _library() -> ctypes.CDLL:
     lib = drivers()
     pointer, integer = ctypes.c_void_p, ctypes.c_int
     lib.ph_runs_take.restype = integer
-    lib.ph_runs_take.argtypes = [pointer, pointer, integer, pointer, integer, pointer, pointer, ctypes.POINTER(integer)]
+    lib.ph_runs_take.argtypes = [pointer, integer, pointer, pointer, integer, pointer, integer, *[pointer] * 3]
+    lib.ph_lanes_size.argtypes, lib.ph_lanes_size.restype = [pointer, pointer], ctypes.c_size_t
+    lib.ph_lanes_init.argtypes, lib.ph_lanes_init.restype = [pointer] * 4, integer
+    lib.ph_lanes_taken.argtypes, lib.ph_lanes_taken.restype = [pointer], ctypes.c_longlong
     return lib
 
 
-class NativeRuns:
-    """One instance that takes one run after the other; another thread needs another one."""
+class Books:
+    """ph_books, of one run or of `lanes` runs side by side."""
 
-    def __init__(self, task: ModelTask):
-        self._model, self._width, self._count = task.model, len(task.names), len(task.measures)
-        self._steps = (task.options.stop - task.options.t0) / task.options.step
-        self._instance = NativeInstance(task.model)
-        self._memory, self._stop = Structures(HEADER), np.zeros(1, np.intc)
-        self._lib = _library()
-        self._held, places = Constants(task.model), Places(task.model)
-        named = [(p, j) for j, n in enumerate(task.names) for p in places.of(n)]
-        self._parameters = [(p.index, j) for p, j in named if p.kind == PARAMETER]
-        books = Monolithic(task.model, self._instance).booking
+    def __init__(self, task: ModelTask, instance: NativeInstance, lib: ctypes.CDLL, lanes: int = 1):
+        booking, memory, ncomp = Monolithic(task.model, instance).booking, Structures(HEADER), task.model.step.ncomp
         # parts of junctions are not told of a sweep
-        books = replace(books, parts=(), divided={}) if books.parts else books
-        self._accounts = Ordinary(self._lib, books, RunSums(), Judge(task.options.audit_rtol))
-        self._struct = self._memory.fill("ph_runs", self._values(task))
+        booking = replace(booking, parts=(), divided={}) if booking.parts else booking
+        self._accounts = Ordinary(lib, booking, RunSums(), Judge(task.options.audit_rtol), lanes)
+        accounts, books = self._accounts.accounts
+        values = {
+            "ncomp": ncomp, "nbook": len(books) // lanes, "loses": int(task.model.loses_energy),
+            "accounts": accounts, "books": books.ctypes.data, **{name: np.zeros(lanes * ncomp) for name in ENERGIES},
+        }  # fmt: skip
+        self._memory, self._struct = memory, memory.fill("ph_books", values)
+        self.address = ctypes.addressof(self._struct)
 
-    def take(self, rows: NDArray[Any], first: int = 0) -> Outcome:
-        """Runs with these values (n x names); their numbers do not matter here."""
-        del first
-        rows, n = np.ascontiguousarray(rows, float), len(rows)
-        values, facts, errors = np.full((n, self._count), np.nan), np.zeros((n, 2)), [""] * n
-        self._instance.expect(n * self._steps)
-        begun, done, constants = 0, ctypes.c_int(), self._constants(rows)
-        while begun < n:
-            code = self._lib.ph_runs_take(
-                ctypes.addressof(self._struct), rows[begun:].ctypes.data, self._width, constants[begun:].ctypes.data,
-                n - begun, values[begun:].ctypes.data, facts[begun:].ctypes.data, done,
-            )  # fmt: skip
-            begun += done.value
-            if code == STOPPED:
-                raise Stopped
-            if code:
-                errors[begun] = self._why(code)
-                begun += 1
-        return Outcome(values, facts[:, 0].astype(int), facts[:, 1].copy(), tuple(errors))
 
-    def _constants(self, rows: NDArray[Any]) -> NDArray[Any]:
-        """The constant part of H in each run (n x components)."""
-        p, found = self._model.p0.copy(), np.zeros((len(rows), self._model.step.ncomp))
-        for row, own in zip(rows, found, strict=True):
-            for place, column in self._parameters:
-                p[place] = row[column]
-            own[:] = self._held.at(p) or 0.0
-        return found
+class _Run:
+    """An instance with the structure that runs.c works on."""
 
-    def stop(self) -> None:
-        """From another thread: runs under way end with Stopped."""
-        self._stop[0] = 1
+    def __init__(self, task: ModelTask, lib: ctypes.CDLL, stop: NDArray[Any]):
+        self.instance, self._memory, self._stop = NativeInstance(task.model), Structures(HEADER), stop
+        self._model = task.model
+        self._books = Books(task, self.instance, lib)
+        self.struct = self._memory.fill("ph_runs", self._values(task))
 
-    def _why(self, code: int) -> str:
+    def why(self, code: int) -> str:
+        """The error of the run that has ended with this status."""
         try:
             if code < 0:
-                require_consistent(self._model, self._instance)
-            self._instance.handle.check(code)
+                require_consistent(self._model, self.instance)
+            self.instance.handle.check(code)
         except (StepFailure, InconsistentState) as error:
             return str(error)
         raise AssertionError(code)
 
     def _values(self, task: ModelTask) -> dict[str, Any]:
-        model, plan, layout, o = task.model, task.model.step, self._instance.layout, task.options
+        model, plan, layout, o = task.model, task.model.step, self.instance.layout, task.options
         memory, columns = self._memory, Columns(model, layout)
         measured = [(m.kind, *columns.place(m.signal)) for m in task.measures]
         ends, energies = layout["a_end"].start, layout["H"].start
@@ -151,22 +135,101 @@ class NativeRuns:
             "p": plan.np,
             "x": plan.nx,
             "u": plan.nu,
-            **dict.fromkeys(ENERGIES, plan.ncomp),
         }
         work |= dict.fromkeys(("value", "held", "time"), len(measured))
-        found, (accounts, books) = layout["observables"], self._accounts.accounts
+        found = layout["observables"]
         return {
-            "in": self._instance.handle.instance,
+            "in": self.instance.handle.instance,
             **{n: getattr(plan, n) for n in ("np", "nx", "nu", "ncomp")},
             **{f"n{kind}": len(rows) for kind, rows in listed.items()},
             "ncheck": len(model.checks), "check": found.stop - len(model.checks), "energy": energies,
             "refresh": any(ends <= first < energies for _, first, _ in measured),
-            "t0": o.t0, "length": o.stop - o.t0, "loses": int(model.loses_energy),
+            "t0": o.t0, "length": o.stop - o.t0, "books": self._books.address,
             "stop": self._stop.ctypes.data,
             "p0": model.p0, "x0": model.x0, "u0": model.u0, "tolerance": CONSISTENCY * np.asarray(model.check_scale),
-            "accounts": accounts, "books": books.ctypes.data, "nbook": len(books),
             **lists, **{name: np.zeros(size) for name, size in work.items()},
         }  # fmt: skip
+
+
+class NativeRuns:
+    """Takes runs; another thread needs another one.
+
+    LANES at a time where they have many steps that fit into lanes (`lanes.py`), unless `lanes` is False.
+    """
+
+    def __init__(self, task: ModelTask, lanes: bool = True):
+        self._task, self._width, self._count = task, len(task.names), len(task.measures)
+        self._steps = (task.options.stop - task.options.t0) / task.options.step
+        self._stop, self._lib = np.zeros(1, np.intc), _library()
+        self._each = [_Run(task, self._lib, self._stop)]
+        self._held, places = Constants(task.model), Places(task.model)
+        named = [(p, j) for j, n in enumerate(task.names) for p in places.of(n)]
+        self._parameters = [(p.index, j) for p, j in named if p.kind == PARAMETER]
+        own = self._held.parameters
+        self._varies = any(place in own for place, _ in self._parameters)
+        self._lanes: Lanes | None = None
+        self._expected = 0.0
+        self._may = lanes and not self._each[0].struct.refresh
+
+    def take(self, rows: NDArray[Any], first: int = 0) -> Outcome:
+        """Runs with these values (n x names); their numbers do not matter here."""
+        del first
+        rows, n = np.ascontiguousarray(rows, float), len(rows)
+        values, facts, errors = np.full((n, self._count), np.nan), np.zeros((n, 2)), [""] * n
+        status, constants, begun = np.zeros(n, np.intc), self._constants(rows), 0
+        self._begin_lanes(n)
+        before = self._inside
+        many, lanes = len(self._each), self._lanes.address if self._lanes else None
+        if lanes is None:
+            self._each[0].instance.expect(n * self._steps)
+        structs = (ctypes.c_void_p * many)(*(ctypes.addressof(run.struct) for run in self._each))
+        while begun < n:
+            done = self._lib.ph_runs_take(
+                structs, many, lanes, rows[begun:].ctypes.data, self._width, constants[begun:].ctypes.data, n - begun,
+                values[begun:].ctypes.data, facts[begun:].ctypes.data, status[begun:].ctypes.data,
+            )  # fmt: skip
+            last = begun + (done - 1) // many * many
+            for i in range(last, begun + done):
+                if status[i] == STOPPED:
+                    raise Stopped
+                if status[i]:
+                    errors[i] = self._each[i - last].why(int(status[i]))
+            begun += done
+        steps = facts[:, 0].astype(int)
+        return Outcome(values, steps, facts[:, 1].copy(), tuple(errors), self._inside - before)
+
+    def _begin_lanes(self, n: int) -> None:
+        """Instances for runs side by side, once there are some, of steps enough."""
+        self._expected += n * self._steps
+        if not self._may or n < LANES or self._expected < PAYS:
+            return
+        self._may = False
+        instance = self._each[0].instance
+        self._books = Books(self._task, instance, self._lib, LANES)
+        self._lanes = lanes_of(instance, self._lib, self._books.address)
+        if self._lanes is not None:
+            self._each += [_Run(self._task, self._lib, self._stop) for _ in range(LANES - 1)]
+
+    @property
+    def _inside(self) -> int:
+        """Steps that were taken with those of other runs."""
+        return 0 if self._lanes is None else self._lanes.inside
+
+    def _constants(self, rows: NDArray[Any]) -> NDArray[Any]:
+        """The constant part of H in each run (n x components); asked for once where it does not depend on what varies."""
+        p, found = self._task.model.p0.copy(), np.zeros((len(rows), self._task.model.step.ncomp))
+        if not self._varies:
+            found[:] = self._held.at(p) or 0.0
+            return found
+        for row, own in zip(rows, found, strict=True):
+            for place, column in self._parameters:
+                p[place] = row[column]
+            own[:] = self._held.at(p) or 0.0
+        return found
+
+    def stop(self) -> None:
+        """From another thread: runs under way end with Stopped."""
+        self._stop[0] = 1
 
 
 def _schedule(task: ModelTask, places: Places) -> dict[str, list[dict[str, Any]]]:

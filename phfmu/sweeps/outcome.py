@@ -18,15 +18,18 @@ class Stopped(Exception):
 class Outcome:
     """n runs: measures (n x measures; nan of a run that failed), steps (n), by how much of what is allowed the ledger of a run
     misses in its worst step (n; above 1 it is violated), and why a run failed ("" if it did not).
+
+    inside: steps that were taken side by side with those of other runs; none of what is read from a file
     """
 
     values: NDArray[Any]
     steps: NDArray[Any]
     ledger: NDArray[Any]
     errors: tuple[str, ...]
+    inside: int = 0
 
     @classmethod
     def joined(cls, parts: Sequence[Outcome]) -> Outcome:
         """Runs after runs."""
         values, steps, ledger = (np.concatenate([getattr(p, n) for p in parts]) for n in ("values", "steps", "ledger"))
-        return cls(values, steps, ledger, tuple(e for p in parts for e in p.errors))
+        return cls(values, steps, ledger, tuple(e for p in parts for e in p.errors), sum(p.inside for p in parts))

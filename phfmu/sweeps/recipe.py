@@ -30,7 +30,10 @@ def words_of(model: Model) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Recipe:
-    """A target, or what gives it, and what is done with it; `keep`: folder for the whole result of each run."""
+    """A target, or what gives it, and what is done with it.
+
+    keep: folder for the whole result of each run;  lanes: whether runs may be stepped side by side
+    """
 
     target: Target | Callable[[], Target]
     names: tuple[str, ...]
@@ -39,6 +42,14 @@ class Recipe:
     scheme: Scheme | None
     engine: str
     keep: Path | None = None
+    lanes: bool = True
+
+    @property
+    def at_once(self) -> int:
+        """Runs that are taken side by side at most."""
+        from phfmu.sweeps.lanes import LANES
+
+        return LANES if self.lanes and self.engine == "native" and self.keep is None else 1
 
     def task(self) -> ModelTask:
         """Declared, discretised and checked; KeyError, ValueError, DeclarationError."""
@@ -79,7 +90,7 @@ class Recipe:
 
         task = task or self.task()
         if self.engine == "native" and fits(task) and self.keep is None:
-            return NativeRuns(task)
+            return NativeRuns(task, self.lanes)
         from phfmu.engine.model import require_no_landing
         from phfmu.engine.native.native import NativeInstance
         from phfmu.engine.reference.python import PythonInstance
@@ -110,6 +121,7 @@ class StepperRecipe:
     names: tuple[str, ...]
     measures: tuple[str, ...]
     keep: Path | None = None
+    at_once: int = 1
 
     def task(self) -> Task:
         """The measures of the signals of a run with the declared values."""

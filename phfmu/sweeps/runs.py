@@ -45,7 +45,9 @@ def sweep(
     file: Path | None = None,
     resume: bool = False,
     keep: Path | None = None,
+    lanes: bool = True,
     progress: Callable[[int], None] | None = None,
+    told: Callable[[str], None] | None = None,
 ) -> pa.Table:
     """Runs of a scene or component, one for each row of the design, told by measures such as `max(gen.w)`.
 
@@ -57,28 +59,31 @@ def sweep(
     "python";  file: of the table, .parquet or .csv, with FILE.parts beside it until all is done, from which `resume` goes on;
     scheduler: of a Dask cluster whose workers take the runs; `target` is then a function that gives the scene or component, which
     they call;  keep: folder for the whole result of each run, 000000.parquet and so on, which the run loop takes, not the
-    compiled one;  progress: called with the number of runs that are done.
+    compiled one;  lanes: whether steps of several runs may be taken side by side, which changes no bit of the results;
+    progress: called with the number of runs that are done;  told: called with a line that says how many steps were.
     Table: a column per name and per measure, `steps`, `ledger` (by how much of what is allowed the energy balance of a run
     misses in its worst step: above 1 it is violated), `error` (why a run failed: its measures are null; "" if it did not).
     Errors: KeyError for names that cannot be set, ValueError for measures and options, DeclarationError, CompilerMissing, OSError
     """
-    told = tuple(measures)
+    asked = tuple(measures)
     if isinstance(target, Steppers):
-        recipe = StepperRecipe(target, design.names, told, keep)
+        recipe = StepperRecipe(target, design.names, asked, keep)
     else:
-        recipe = Recipe(target, design.names, told, options, scheme, engine, keep)
+        recipe = Recipe(target, design.names, asked, options, scheme, engine, keep, lanes)
     task = recipe.task()
     if keep is not None:
         keep.mkdir(parents=True, exist_ok=True)
     with _crew(recipe, task, jobs, scheduler) as crew:  # before the parts: without a cluster those of before stay
         parts = None if file is None else Parts(file, _key(task, recipe, design), resume=resume)
         try:
-            outcome = taken(crew, design, parts, progress or (lambda _: None))
+            outcome = taken(crew, design, parts, progress or (lambda _: None), recipe.at_once)
         except (KeyboardInterrupt, OSError) as stop:
             stop.add_note(
                 parts.told(len(design.rows)) if parts is not None else "nothing of it is kept: it has no -o FILE"
             )
             raise
+    if told is not None and outcome.inside:
+        told(f"{outcome.inside} of {outcome.steps.sum()} steps side by side, {recipe.at_once} runs at a time")
     table = _table(task, design, outcome)
     if file is not None and parts is not None:
         _write(table, file, parts)
@@ -120,11 +125,13 @@ def _key(task: Task, recipe: Recipe | StepperRecipe, design: Design) -> str:
     return digest("\n".join(map(str, words)), design)
 
 
-def taken(crew: Crew, design: Design, parts: Parts | None, progress: Callable[[int], None]) -> Outcome:
-    """All runs, in blocks that the crew takes as it gets ready."""
+def taken(
+    crew: Crew, design: Design, parts: Parts | None, progress: Callable[[int], None], at_once: int = 1
+) -> Outcome:
+    """All runs, in blocks that the crew takes as it gets ready, of as many as are taken at once, or of some times as many."""
     found: dict[int, Outcome] = dict(parts.kept()) if parts is not None else {}
     known = {run for first, o in found.items() for run in range(first, first + len(o.errors))}
-    size = max(1, min(BLOCK, -(-len(design.rows) // (crew.size * TURNS))))
+    size = max(1, min(BLOCK, -(-len(design.rows) // (crew.size * TURNS * at_once)) * at_once))
     todo = _blocks(len(design.rows), size, known)
     keep = _Keeper(found, len(known), parts, progress)
     if not todo:

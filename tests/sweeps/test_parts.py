@@ -90,8 +90,8 @@ def test_a_full_disk_is_named_and_what_is_kept_is_gone_on_with(tmp_path: Path, c
     done = subprocess.run(
         [sys.executable, "-c", full + SWEEP, *words], cwd=tmp_path, capture_output=True, text=True, timeout=120
     )
-    assert done.returncode == 2 and "File too large" in done.stderr and "s.parquet.parts/000000500.part" in done.stderr
-    assert "500 of 4000 runs are in" in done.stderr and "--resume" in done.stderr
+    assert done.returncode == 2 and "File too large" in done.stderr and "s.parquet.parts/000000504.part" in done.stderr
+    assert "504 of 4000 runs are in" in done.stderr and "--resume" in done.stderr
     again = subprocess.run(
         [sys.executable, "-c", SWEEP, *words, "--resume"], cwd=tmp_path, capture_output=True, text=True, timeout=120
     )

@@ -6,6 +6,8 @@
 #include <float.h>
 #include <math.h>
 
+#include "real.h"
+
 /* Roundings of the largest energy in play so far that a residual may be: constraint forces do work of their
  * own that cancels; measured: 4 in networks of machines, 2e3 in the fast heavy top, whose first term covers
  * it 20 times. */
@@ -23,37 +25,38 @@
 #define PH_LEAST 1e-140
 
 /* The larger; NaN where a is not a number. */
-static inline double ph_most(double a, double b) {
-    return b > a ? b : a;
+static inline ph_real ph_most(ph_real a, ph_real b) {
+    return ph_where(b > a, b, a);
 }
 
 /* Energies in play in a step: `inside` the component, and `pairs`, the sum of |energy| through its port
  * pairs. */
-static inline double ph_in_play(double inside, double stored, double supplied, double dissipated,
-                                double numerical, double pairs) {
-    return ph_most(fabs(inside), fabs(stored)) + fabs(supplied) + fabs(dissipated) + fabs(numerical) + pairs;
+static inline ph_real ph_in_play(ph_real inside, ph_real stored, ph_real supplied, ph_real dissipated,
+                                 ph_real numerical, ph_real pairs) {
+    return ph_most(ph_abs(inside), ph_abs(stored)) + ph_abs(supplied) + ph_abs(dissipated) +
+           ph_abs(numerical) + pairs;
 }
 
 /* What a residual may be in a step; `reach`: the most in play so far, the sum of the changes of H included;
  * `varying`: what of H is not constant, and of a relation what is in play in the network. */
-static inline double ph_allowed(double rtol, double in_play, double reach, double varying) {
+static inline ph_real ph_allowed(double rtol, ph_real in_play, ph_real reach, ph_real varying) {
     return rtol * in_play + (PH_FLOOR * DBL_EPSILON * reach + PH_LEAST) + PH_ULPS * DBL_EPSILON * varying;
 }
 
 /* What the sum of the residuals may be; `squares`: the sum of the squares of what the steps are allowed. */
-static inline double ph_allowed_in_run(double squares) {
-    return PH_RUN * sqrt(squares);
+static inline ph_real ph_allowed_in_run(ph_real squares) {
+    return PH_RUN * ph_sqrt(squares);
 }
 
 /* How far H may be from what is booked of it, beside what is allowed in the step; `largest`: |H| so far,
  * `turnover`: the sum over the steps so far of what moved between the energies of the component. */
-static inline double ph_rounding_of_H(double largest, double turnover) {
+static inline ph_real ph_rounding_of_H(ph_real largest, ph_real turnover) {
     return PH_ULPS * DBL_EPSILON * largest + PH_PARTS * DBL_EPSILON * turnover;
 }
 
 /* |size| / allowed, 0 for 0/0. */
-static inline double ph_share(double size, double allowed) {
-    return size == 0.0 ? 0.0 : fabs(size) / allowed;
+static inline ph_real ph_share(ph_real size, ph_real allowed) {
+    return ph_where(size == 0.0, ph_spread(0.0), ph_abs(size) / allowed);
 }
 
 #endif

@@ -10,38 +10,38 @@ typedef ptrdiff_t size;
 
 /* A sum over a row, compensated. */
 typedef struct {
-    double high, low;
+    ph_real high, low;
 } across;
 
 /* Of one row: by component, by junction, of the network. */
 typedef struct {
-    double *through, *played, *residual, *in_play, *H, *allowed, *in_step;
-    double *made, *made_low, *moved, *moved_low, *lost, *divided, *created;
+    ph_real *through, *played, *residual, *in_play, *H, *allowed, *in_step;
+    ph_real *made, *made_low, *moved, *moved_low, *lost, *divided, *created;
     across dH, dissipated, numerical, external;
-    double pairs, reach, energy;
+    ph_real pairs, reach, energy;
 } ph_row;
 
-static void add(ph_sums s, size j, double x) {
-    const double before = s.high[j], after = before + x;
+static void add(ph_sums s, size j, ph_real x) {
+    const ph_real before = s.high[j], after = before + x;
     s.low[j] += ph_rounded_off(before, x, after);
     s.high[j] = after;
 }
 
-static void more(across *s, double x) {
-    const double before = s->high;
+static void more(across *s, ph_real x) {
+    const ph_real before = s->high;
     s->high += x;
     s->low += ph_rounded_off(before, x, s->high);
 }
 
-static double value(across s) {
+static ph_real value(across s) {
     return s.high + s.low;
 }
 
 static ph_row begun(const ph_accounts *b) {
     const size c = b->c, m = b->junctions;
-    double *s = b->scratch, *j = s + 7 * c;
+    ph_real *s = b->scratch, *j = s + 7 * c;
     for (size i = 0; i < 7 * (c + m); i++)
-        s[i] = 0.0;
+        s[i] = ph_spread(0.0);
     return (ph_row){.through = s,
                     .played = s + c,
                     .residual = s + 2 * c,
@@ -59,10 +59,10 @@ static ph_row begun(const ph_accounts *b) {
 }
 
 /* Energies through the port pairs: by port, component and junction. */
-static void take_pairs(const ph_accounts *b, const double *pairs, ph_row *r) {
+static void take_pairs(const ph_accounts *b, const ph_real *pairs, ph_row *r) {
     const ph_sums made = {r->made, r->made_low}, moved = {r->moved, r->moved_low};
     for (size j = 0; j < b->q; j++) {
-        const double x = pairs[j], a = fabs(x);
+        const ph_real x = pairs[j], a = ph_abs(x);
         add(b->of_port, b->port[j], x);
         r->pairs += a;
         if (b->owner[j] >= 0) {
@@ -82,13 +82,13 @@ static void take_pairs(const ph_accounts *b, const double *pairs, ph_row *r) {
 static void take_components(const ph_accounts *b, size i, ph_row *r) {
     for (size k = 0; k < b->c; k++) {
         const size at = i * b->c + k;
-        const double stored = b->stored[at], dissipated = b->dissipated[at], supplied = b->supplied[at];
-        const double gone = b->numerical ? b->numerical[at] : 0.0;
-        r->H[k] = ph_most(fabs(b->H0[at]), fabs(b->H[at]));
+        const ph_real stored = b->stored[at], dissipated = b->dissipated[at], supplied = b->supplied[at];
+        const ph_real gone = b->numerical ? b->numerical[at] : ph_spread(0.0);
+        r->H[k] = ph_most(ph_abs(b->H0[at]), ph_abs(b->H[at]));
         r->residual[k] = stored + dissipated + gone - supplied;
-        const double inside = b->moved ? b->moved[at] : b->varying[at];
+        const ph_real inside = b->moved ? b->moved[at] : b->varying[at];
         r->in_play[k] = ph_in_play(inside, stored, supplied, dissipated, gone, r->played[k]);
-        b->stirred[k] = ph_most(b->stirred[k], ph_most(fabs(inside), fabs(stored)));
+        b->stirred[k] = ph_most(b->stirred[k], ph_most(ph_abs(inside), ph_abs(stored)));
         add(b->of_dissipated, k, dissipated);
         add(b->of_supplied, k, supplied);
         add(b->of_stored, k, stored);
@@ -99,51 +99,51 @@ static void take_components(const ph_accounts *b, size i, ph_row *r) {
             add(b->of_numerical, k, gone);
             more(&r->numerical, gone);
         }
-        const double sum = fabs(b->of_stored.high[k] + b->of_stored.low[k]);
+        const ph_real sum = ph_abs(b->of_stored.high[k] + b->of_stored.low[k]);
         b->reach[k] = ph_most(b->reach[k], ph_most(r->in_play[k], sum));
         b->largest[k] = ph_most(b->largest[k], r->H[k]);
-        b->turnover[k] += b->moved ? fabs(b->moved[at]) : 0.0;
+        b->turnover[k] += b->moved ? ph_abs(b->moved[at]) : ph_spread(0.0);
         r->reach += b->reach[k];
         r->energy += b->varying[at];
     }
 }
 
 /* Whether |x| is allowed; if not, its share is kept. */
-static int within(ph_accounts *b, double x, double allowed) {
-    const double share = ph_share(x, allowed);
-    if (fabs(x) <= allowed)
-        return 1;
-    if (!(share <= b->violated))
-        b->violated = share;
-    return 0;
+static ph_truth within(ph_accounts *b, ph_real x, ph_real allowed) {
+    const ph_real share = ph_share(x, allowed);
+    const ph_truth fits = ph_abs(x) <= allowed;
+    b->violated = ph_where(PH_NOT(fits) & PH_NOT(share <= b->violated), share, b->violated);
+    return fits;
 }
 
 /* Whether all components of row i close; which was the worst, if one was worse than before. */
-static int judge_components(ph_accounts *b, size i, const ph_row *r) {
-    int fine = 1;
+static ph_truth judge_components(ph_accounts *b, size i, const ph_row *r) {
+    ph_truth fine = PH_TRUE;
     for (size k = 0; k < b->c; k++) {
         const size at = i * b->c + k;
-        const double dissipated = b->dissipated[at], supplied = b->supplied[at],
-                     residual = fabs(r->residual[k]);
-        const double relation = b->stirred[k] == 0.0 ? r->reach : 0.0;
-        const double in_step = ph_allowed(b->rtol, r->in_play[k], b->reach[k], 0.0);
-        const double allowed = ph_allowed(b->rtol, r->in_play[k], b->reach[k], b->varying[at] + relation);
-        const double permitted = in_step + ph_rounding_of_H(b->largest[k], b->turnover[k]);
-        const double between = b->H0[at] - (i ? b->H[at - b->c] : b->before[k]);
-        const double changed = b->H[at] - b->H0[at] - b->stored[at];
+        const ph_real dissipated = b->dissipated[at], supplied = b->supplied[at],
+                      residual = ph_abs(r->residual[k]);
+        const ph_real relation = ph_where(b->stirred[k] == 0.0, r->reach, ph_spread(0.0));
+        const ph_real in_step = ph_allowed(b->rtol, r->in_play[k], b->reach[k], ph_spread(0.0));
+        const ph_real allowed = ph_allowed(b->rtol, r->in_play[k], b->reach[k], b->varying[at] + relation);
+        const ph_real permitted = in_step + ph_rounding_of_H(b->largest[k], b->turnover[k]);
+        const ph_real between = b->H0[at] - (i ? b->H[at - b->c] : b->before[k]);
+        const ph_real changed = b->H[at] - b->H0[at] - b->stored[at];
         if (b->judged[k]) {
             fine &= residual <= allowed;
-            fine &= within(b, dissipated < 0.0 ? dissipated : 0.0, allowed);
+            fine &= within(b, ph_where(dissipated < 0.0, dissipated, ph_spread(0.0)), allowed);
             fine &= within(b, supplied - r->through[k], allowed);
         }
         fine &= within(b, between, permitted) & within(b, changed, permitted);
-        fine &= allowed > 0.0 || residual == 0.0;
-        const double found = ph_share(residual, allowed);
-        if (found > b->worst[k]) {
-            b->worst[k] = found;
-            b->worst_residual[k] = r->residual[k];
+        fine &= (allowed > 0.0) | (residual == 0.0);
+        const ph_real found = ph_share(residual, allowed);
+        const ph_truth worse = found > b->worst[k];
+        b->worst[k] = ph_where(worse, found, b->worst[k]);
+        b->worst_residual[k] = ph_where(worse, r->residual[k], b->worst_residual[k]);
+#ifndef PH_WIDTH /* those of several runs are not told */
+        if (worse)
             b->worst_row[k] = i;
-        }
+#endif
         add(b->gap, k, between + changed);
         add(b->missed, k, r->residual[k]);
         add(b->squares, k, allowed * allowed);
@@ -153,72 +153,65 @@ static int judge_components(ph_accounts *b, size i, const ph_row *r) {
 }
 
 /* Parts of the energies of the junctions. */
-static void take_parts(const ph_accounts *b, const double *works, const ph_row *r) {
+static void take_parts(const ph_accounts *b, const ph_real *works, const ph_row *r) {
     for (size j = 0; j < b->parts; j++) {
         const size at = b->part_junction[j];
         add(b->of_part, j, works[j]);
-        b->worst_part[j] = ph_most(b->worst_part[j], fabs(works[j]));
+        b->worst_part[j] = ph_most(b->worst_part[j], ph_abs(works[j]));
         r->divided[at] += works[j];
-        if (b->projection[j] && works[j] < 0.0)
-            r->lost[at] += works[j];
+        if (b->projection[j])
+            r->lost[at] = ph_where(works[j] < 0.0, r->lost[at] + works[j], r->lost[at]);
     }
 }
 
 /* Whether the junctions made what they may; `made`: by all of them. */
-static int take_junctions(const ph_accounts *b, const ph_row *r, across *made) {
-    int fine = 1;
+static ph_truth take_junctions(const ph_accounts *b, const ph_row *r, across *made) {
+    ph_truth fine = PH_TRUE;
     for (size j = 0; j < b->junctions; j++) {
-        const double created = r->made[j] + r->made_low[j];
-        const double exchanged = 0.5 * (r->moved[j] + r->moved_low[j]), passed = 2.0 * exchanged;
+        const ph_real created = r->made[j] + r->made_low[j];
+        const ph_real exchanged = 0.5 * (r->moved[j] + r->moved_low[j]), passed = 2.0 * exchanged;
         b->passed[j] = ph_most(b->passed[j], passed);
-        const double rounding = ULPS * r->reach + ULPS * ULPS * r->energy;
-        const double permitted = ph_allowed(b->rtol, passed, b->passed[j], 0.0) + rounding;
-        fine &= b->loose || fabs(created - r->lost[j]) <= permitted;
+        const ph_real rounding = ULPS * r->reach + ULPS * ULPS * r->energy;
+        const ph_real permitted = ph_allowed(b->rtol, passed, b->passed[j], ph_spread(0.0)) + rounding;
+        fine &= b->loose ? PH_TRUE : ph_abs(created - r->lost[j]) <= permitted;
         r->lost[j] = permitted;
         r->created[j] = created;
         add(b->of_junction, j, created);
         add(b->exchanged, j, exchanged);
-        add(b->created, j, fabs(created));
-        b->worst_junction[j] = ph_most(b->worst_junction[j], fabs(created));
+        add(b->created, j, ph_abs(created));
+        b->worst_junction[j] = ph_most(b->worst_junction[j], ph_abs(created));
         more(made, created);
     }
     for (size j = 0; j < b->parts; j++) {
         const size at = b->part_junction[j];
-        fine &= fabs(r->created[at] - r->divided[at]) <= r->lost[at];
+        fine &= ph_abs(r->created[at] - r->divided[at]) <= r->lost[at];
     }
     return fine;
 }
 
 /* Sums of the network; whether it closes. */
-static int take_network(ph_accounts *b, const ph_row *r, across made) {
-    double missed = 0.0;
+static ph_truth take_network(ph_accounts *b, const ph_row *r, across made) {
+    ph_real missed = ph_spread(0.0);
     for (size k = 0; k < b->c; k++)
         missed += r->allowed[k];
-    const double dH = value(r->dH), dissipated = value(r->dissipated), numerical = value(r->numerical);
-    const double left = dH + dissipated + numerical - value(r->external) - value(made);
+    const ph_real dH = value(r->dH), dissipated = value(r->dissipated), numerical = value(r->numerical);
+    const ph_real left = dH + dissipated + numerical - value(r->external) - value(made);
     add(b->dH, 0, dH);
     add(b->dissipation, 0, dissipated);
     add(b->loss, 0, numerical);
     add(b->external, 0, value(r->external));
     add(b->residual, 0, value(made));
     add(b->unexplained, 0, left);
-    const double permitted = missed + ULPS * r->pairs;
+    const ph_real permitted = missed + ULPS * r->pairs;
     add(b->left, 0, permitted * permitted);
-    b->worst_unexplained = ph_most(b->worst_unexplained, fabs(left));
-    return fabs(left) <= permitted;
+    b->worst_unexplained = ph_most(b->worst_unexplained, ph_abs(left));
+    return ph_abs(left) <= permitted;
 }
 
-static int finite(ph_sums s, size n) {
-    for (size i = 0; i < n; i++)
-        if (!isfinite(s.high[i]) || !isfinite(s.low[i]))
-            return 0;
-    return 1;
-}
-
-int ph_account(ph_accounts *b, size i) {
+ph_truth ph_account(ph_accounts *b, size i) {
     ph_row r = begun(b);
-    across made = {0.0, 0.0};
-    int fine;
+    across made = {ph_spread(0.0), ph_spread(0.0)};
+    ph_truth fine;
     take_pairs(b, b->pairs + i * b->q, &r);
     take_components(b, i, &r);
     if (b->parts)
@@ -228,18 +221,24 @@ int ph_account(ph_accounts *b, size i) {
     return fine & take_network(b, &r, made);
 }
 
-double ph_worst_share(const ph_accounts *b) {
-    double most = b->violated;
+ph_real ph_worst_share(const ph_accounts *b) {
+    ph_real most = b->violated;
     for (size k = 0; k < b->c; k++) {
-        const double missed = b->missed.high[k] + b->missed.low[k];
-        const double squares = b->squares.high[k] + b->squares.low[k];
-        const double in_run = ph_share(missed, ph_allowed_in_run(squares));
-        if (!(b->worst[k] <= most))
-            most = b->worst[k];
-        if (!(in_run <= most))
-            most = in_run;
+        const ph_real missed = b->missed.high[k] + b->missed.low[k];
+        const ph_real squares = b->squares.high[k] + b->squares.low[k];
+        const ph_real in_run = ph_share(missed, ph_allowed_in_run(squares));
+        most = ph_where(PH_NOT(b->worst[k] <= most), b->worst[k], most);
+        most = ph_where(PH_NOT(in_run <= most), in_run, most);
     }
     return most;
+}
+
+#ifndef PH_WIDTH
+static int finite(ph_sums s, size n) {
+    for (size i = 0; i < n; i++)
+        if (!isfinite(s.high[i]) || !isfinite(s.low[i]))
+            return 0;
+    return 1;
 }
 
 /* 1, or 0 where a row is not ordinary: then the sums are not to be used. */
@@ -253,3 +252,4 @@ PH_API int ph_ordinary(ph_accounts *b, size ports) {
            finite(b->exchanged, b->junctions) && finite(b->of_part, b->parts) && finite(b->unexplained, 1) &&
            finite(b->left, 1) && finite(b->dH, 1) && finite(b->dissipation, 1) && finite(b->external, 1);
 }
+#endif

@@ -9,9 +9,11 @@
 
 #include <stddef.h>
 
+#include "real.h"
+
 /* Sums high + low of any number of terms. */
 typedef struct ph_sums {
-    double *high, *low;
+    ph_real *high, *low;
 } ph_sums;
 
 /* n rows of c components, q port pairs, of junctions and parts of their energies.  [..] lengths; all owned by
@@ -26,27 +28,27 @@ typedef struct ph_sums {
 typedef struct ph_accounts {
     ptrdiff_t n, c, q, junctions, parts, loose;
     double rtol;
-    const double *H0, *H, *stored, *dissipated, *supplied, *numerical, *moved, *pairs, *works;
-    const double *varying;
+    const ph_real *H0, *H, *stored, *dissipated, *supplied, *numerical, *moved, *pairs, *works;
+    const ph_real *varying;
     const ptrdiff_t *judged, *owner, *port, *junction;
     const double *outside;
     const ptrdiff_t *part_junction, *projection;
-    double *before;
+    ph_real *before;
     ph_sums of_dissipated, of_supplied, of_numerical, of_stored, gap, missed, squares, gross; /* [c] */
     ph_sums of_port, of_junction, exchanged, created, of_part; /* [ports], [junctions] three times, [parts] */
     ph_sums dissipation, external, residual, unexplained, dH, loss, left; /* [1] of the network */
-    double *reach, *largest, *stirred, *turnover, *passed;
-    double *worst, *worst_residual;
+    ph_real *reach, *largest, *stirred, *turnover, *passed;
+    ph_real *worst, *worst_residual;
     ptrdiff_t *worst_row;
-    double *worst_junction, *worst_part, worst_unexplained;
-    double *scratch;
-    double violated;
+    ph_real *worst_junction, *worst_part, worst_unexplained;
+    ph_real *scratch;
+    ph_real violated;
 } ph_accounts;
 
 /* Adds row i and judges it; whether it is ordinary, for finite numbers. */
-int ph_account(ph_accounts *b, ptrdiff_t i);
+ph_truth ph_account(ph_accounts *b, ptrdiff_t i);
 /* The largest share of what is allowed that a component misses or has too much, in a row or in all of them.
  */
-double ph_worst_share(const ph_accounts *b);
+ph_real ph_worst_share(const ph_accounts *b);
 
 #endif

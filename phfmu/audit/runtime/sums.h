@@ -5,6 +5,8 @@
 #include <math.h>
 #include <stddef.h>
 
+#include "real.h"
+
 #if defined(_WIN32)
 #define PH_API __declspec(dllexport)
 #else
@@ -12,8 +14,8 @@
 #endif
 
 /* What the addition after = before + x has rounded off. */
-static inline double ph_rounded_off(double before, double x, double after) {
-    const double part = after - before;
+static inline ph_real ph_rounded_off(ph_real before, ph_real x, ph_real after) {
+    const ph_real part = after - before;
     return (before - (after - part)) + (x - part);
 }
 

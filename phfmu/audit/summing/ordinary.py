@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Sequence
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -25,10 +26,11 @@ _SUMS = (
 )
 
 
-class _Accounts(ctypes.Structure):
-    """`ph_accounts` of runtime/ordinary.h."""
-
-    _fields_ = [
+@cache
+def _structure(lanes: int) -> type[ctypes.Structure]:
+    """`ph_accounts` of runtime/ordinary.h, whose numbers are those of so many runs side by side."""
+    number = _REAL if lanes == 1 else _REAL * lanes
+    fields = [
         *((name, _SIZE) for name in ("n", "c", "q", "junctions", "parts", "loose")),
         ("rtol", _REAL),
         *((name, _AT) for name in ("H0", "H", "stored", "dissipated", "supplied", "numerical", "moved", "pairs", "works")),
@@ -38,16 +40,20 @@ class _Accounts(ctypes.Structure):
         *((f"{part}_{name}", _AT) for name in _SUMS for part in ("high", "low")),
         *((name, _AT) for name in ("reach", "largest", "stirred", "turnover", "passed")),
         *((name, _AT) for name in ("worst", "worst_residual", "worst_row", "worst_junction", "worst_part")),
-        ("worst_unexplained", _REAL),
+        ("worst_unexplained", number),
         ("scratch", _AT),
-        ("violated", _REAL),
+        ("violated", number),
     ]  # fmt: skip
+    return type("Accounts", (ctypes.Structure,), {"_fields_": fields})
 
 
 class Ordinary:
-    """Takes the blocks of one booking for the sums and the judge of a run."""
+    """Takes the blocks of one booking for the sums and the judge of a run.
 
-    def __init__(self, library: Any, booking: Booking, sums: RunSums, judge: Judge):
+    lanes: of how many runs side by side each number is one, for compiled code that judges their steps (`accounts`).
+    """
+
+    def __init__(self, library: Any, booking: Booking, sums: RunSums, judge: Judge, lanes: int = 1):
         self.booking, self._library, self._sums, self._judge = booking, library, sums, judge
         self._c, self._q = len(booking.components), len(booking.ports)
         self._junctions, self._parts = list(booking.junctions), list(booking.parts)
@@ -65,17 +71,17 @@ class Ordinary:
         most = dict.fromkeys(("before", "reach", "largest", "stirred", "turnover", "worst", "worst_residual"), c)
         most |= {"passed": m, "worst_junction": m, "worst_part": len(self._parts), "scratch": 7 * (c + m)}
         #: sums, high parts and then low ones, and what else goes in and comes out
-        self._state = np.zeros(2 * self._many + sum(most.values()))
+        self._state = np.zeros(lanes * (2 * self._many + sum(most.values())))
         self._rows = np.empty(c, np.intp)
-        self._own = _Accounts(0, c, self._q, m, len(self._parts), booking.loose, judge.rtol)
+        self._own: Any = _structure(lanes)(0, c, self._q, m, len(self._parts), booking.loose, judge.rtol)
         begin = self._state.ctypes.data
         for part in ("high", "low"):
             for name, width in widths.items():
                 setattr(self._own, f"{part}_{name}", begin)
-                begin += 8 * width
+                begin += 8 * lanes * width
         for name, width in most.items():
             setattr(self._own, name, begin)
-            begin += 8 * width
+            begin += 8 * lanes * width
         self._booked = self._tables()  # compiled code reads them
         for name, array in (self._booked | {"worst_row": self._rows}).items():
             setattr(self._own, name, array.ctypes.data)

@@ -33,6 +33,7 @@ NOT_OF_A_RUN = (
     "scheduler",
     "scheduler_file",
     "jobs",
+    "lanes",
     "quiet",
 )
 #: failed runs whose reasons are printed
@@ -66,6 +67,8 @@ def add_parser(verbs: Any) -> None:
     parser.add_argument("--scheduler-file", metavar="FILE", help="the same by the file that the scheduler wrote")
     parser.add_argument("--jobs", type=int, metavar="N",
                         help="threads (default: one per core); the results do not depend on their number")  # fmt: skip
+    parser.add_argument("--no-lanes", action="store_false", dest="lanes",
+                        help="step each run by itself, not several side by side: the same results, slower")  # fmt: skip
     parser.add_argument("--stop", type=float, help="stop time in s (default: the scene's)")
     parser.add_argument("--step", type=float, help="step in s (default: the scene's)")
     stepping.add_engine(parser, ("auto", "python", "native"))
@@ -102,16 +105,17 @@ def call(args: argparse.Namespace) -> int:
     s = None if is_fmu(args.target) else scene_of(args)
     anywhere = scheduler is not None
     taken = _apart(args, runs, anywhere) if s is None or _is_apart(args, s) else _composed(args, s, runs, anywhere)
-    begun = perf_counter()
+    begun, notes = perf_counter(), list[str]()
     with Bar("runs", len(runs.rows), args.quiet) as bar:
         table = sweep(
             design=runs, measures=args.measure, scheduler=scheduler, file=file, resume=args.resume, keep=folder, progress=bar,
-            **taken,
+            lanes=args.lanes, told=notes.append, **taken,
         )  # fmt: skip
     errors = table["error"].to_pylist()
     failed, worst = sum(map(bool, errors)), max((v for v in table["ledger"].to_pylist() if v is not None), default=0.0)
     if not args.quiet:
         _print(args, runs, table, failed, worst, perf_counter() - begun)
+        print(*notes, sep="\n", end="\n" if notes else "")
     if failed == len(runs.rows):
         return NO_CONVERGENCE
     return LEDGER if worst > 1 else FINE

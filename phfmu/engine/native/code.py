@@ -87,15 +87,18 @@ class Compiled:
 class Interpreted(Filled):
     """Kernels as programs of the runtime, which become compiled ones when that is earned.
 
-    `work`: operations of an evaluation of the plan of a step; 0: they stay interpreted.
+    `work`: operations of an evaluation of the plan of a step; 0: they stay interpreted.  prefix: of the functions of `lib`
+    (default: the runtime) that interpret.
     """
 
     build: Build | None = None
 
-    def __init__(self, kernels: Kernels, work: int = 0) -> None:
+    def __init__(
+        self, kernels: Kernels, work: int = 0, lib: ctypes.CDLL | None = None, prefix: str = "ph_interpret"
+    ) -> None:
         super().__init__()
         self._kernels, self.index, self.compiled = kernels, kernels.index, False
-        lib = runtime()[1]
+        lib = lib or runtime()[1]
         self._rows = (KernelRow * max(1, len(kernels.members)))()
         for row, member in zip(self._rows, kernels.members, strict=False):
             for name in ("nx", "ny", "np", "no", "nj"):
@@ -104,7 +107,7 @@ class Interpreted(Filled):
             for name, table in member.tables.items():
                 programs[name], slots = _program(self, table)
                 row.nwork = max(row.nwork, slots)
-                setattr(row, name, _address(lib, f"ph_interpret_{name}"))
+                setattr(row, name, _address(lib, f"{prefix}_{name}"))
             row.program = ctypes.addressof(self.fill("ph_programs", None, programs))
         self._code = CodeRow(kernels.token, len(kernels.members), ctypes.addressof(self._rows), None)
         self.address = ctypes.addressof(self._code)

@@ -192,7 +192,8 @@ def drivers() -> ctypes.CDLL:
 
 def summing() -> ctypes.CDLL:
     """The small library of the sums of a run and the judge of its steps, which steps nothing."""
-    return ctypes.CDLL(str(_built("summing", driver_sources("audit")).path))
+    numbers = RUNTIME / "real.h"
+    return ctypes.CDLL(str(_built("summing", driver_sources("audit") | {numbers.name: numbers}).path))
 
 
 def _built(name: str, sources: Mapping[str, Path], announce: Callable[[], None] | None = None) -> Build:

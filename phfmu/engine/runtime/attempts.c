@@ -14,16 +14,17 @@ static double power(double base, int n) {
 }
 
 /* Start from the solution `known` (nw, not in Y) of another step; ratio = this step size / its step size. */
-static void start_guess(ph_system *s, const double *known, double ratio) {
+static void start_guess(ph_system *s, const ph_real *known, double ratio) {
     const ph_plan *p = s->plan;
     for (int i = 0; i < p->nw; i++) {
-        double sum = 0.0;
+        ph_real sum = ph_spread(0.0);
         for (int l = p->guess_ptr[i]; l < p->guess_ptr[i + 1]; l++)
             sum += p->guess_val[l] * known[p->guess_idx[l]] * power(ratio, p->guess_pow[l]);
         s->y[i] = sum;
     }
 }
 
+#ifndef PH_WIDTH
 /* Start from rest: increments zero, algebraic values as they were. */
 static void start_rest(ph_system *s) {
     for (int i = 0; i < s->plan->nw; i++)
@@ -122,3 +123,4 @@ int ph_solve(ph_system *s, double h) {
     }
     return status;
 }
+#endif

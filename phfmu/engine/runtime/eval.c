@@ -13,7 +13,7 @@ static void powers(const double *hp, const double *value, const signed char *pow
 /* Coefficients depend on h only: multiplied once per step size, not once per evaluation. */
 void ph_eval_h(ph_system *s, double h) {
     const ph_plan *p = s->plan;
-    s->y[p->nv - 1] = h;
+    s->y[p->nv - 1] = ph_spread(h);
     if (h == s->hp[1])
         return;
     s->hp[0] = 1.0;
@@ -24,9 +24,11 @@ void ph_eval_h(ph_system *s, double h) {
            s->derivatives);
     powers(s->hp, p->const_val, p->const_pow, p->nconst, s->constants);
     for (int e = 0; e < p->nnz; e++)
-        s->fixed[e] = s->a[e] = 0.0;
+        s->fixed[e] = 0.0;
     for (int l = 0; l < p->nfixed; l++)
-        s->a[p->fixed_entry[l]] = s->fixed[p->fixed_entry[l]] += p->fixed_value[l] * s->hp[p->fixed_power[l]];
+        s->fixed[p->fixed_entry[l]] += p->fixed_value[l] * s->hp[p->fixed_power[l]];
+    for (int e = 0; e < p->nnz; e++)
+        s->a[e] = ph_spread(s->fixed[e]);
 }
 
 /* w = 0 exactly, whatever rounding the factor leaves. */
@@ -34,7 +36,7 @@ static void rest_unknowns(ph_system *s) {
     const ph_plan *p = s->plan;
     for (int c = 0; c < p->nhold; c++)
         for (int q = p->hold_ptr[c]; s->rests[c] == PH_RESTS && q < p->hold_ptr[c + 1]; q++)
-            s->y[p->hold_row[q]] = 0.0;
+            s->y[p->hold_row[q]] = ph_spread(0.0);
 }
 
 /* Rows 0, after a look at what they miss: the mean of the node rows is (g' - g) / h. */
@@ -42,14 +44,16 @@ static void rest_residual(ph_system *s) {
     const ph_plan *p = s->plan;
     for (int c = 0; c < p->nhold; c++) {
         const int *row = p->hold_row + p->hold_ptr[c], n = p->hold_ptr[c + 1] - p->hold_ptr[c];
-        double mean = 0.0, speed = n > p->k ? fabs(s->r[row[p->k]]) : 0.0;
+        ph_real mean = ph_spread(0.0), speed = mean;
         if (s->rests[c] != PH_RESTS)
             continue;
+        if (n > p->k)
+            speed = ph_abs(s->r[row[p->k]]);
         for (int i = 0; i < p->k; i++)
             mean += p->weights[i] * s->r[row[i]];
-        s->gap[c] = fabs(mean) > speed ? fabs(mean) : speed;
+        s->gap[c] = ph_where(ph_abs(mean) > speed, ph_abs(mean), speed);
         for (int i = 0; i < n; i++)
-            s->r[row[i]] = 0.0;
+            s->r[row[i]] = ph_spread(0.0);
     }
 }
 
@@ -60,9 +64,9 @@ static void rest_matrix(ph_system *s) {
         if (s->rests[c] != PH_RESTS)
             continue;
         for (int e = p->silent_ptr[c]; e < p->silent_ptr[c + 1]; e++)
-            s->a[p->silent[e]] = 0.0;
+            s->a[p->silent[e]] = ph_spread(0.0);
         for (int q = p->hold_ptr[c]; q < p->hold_ptr[c + 1]; q++)
-            s->a[p->hold_own[q]] = 1.0;
+            s->a[p->hold_own[q]] = ph_spread(1.0);
     }
 }
 
@@ -71,24 +75,24 @@ static void take_condensed(ph_system *s) {
     const ph_plan *p = s->plan;
     const int n = p->ncondensed;
     if (n > 0)
-        memcpy(s->y + p->nv + p->nz - n, s->r + p->nrow - n, sizeof(double) * (size_t)n);
+        memcpy(s->y + p->nv + p->nz - n, s->r + p->nrow - n, sizeof(ph_real) * (size_t)n);
 }
 
 /* Z and R at (x, Y); slots: Jacobian entries into V too; late: pair outputs and observables too. */
 void ph_eval(ph_system *s, int slots, int late) {
     const ph_plan *p = s->plan;
-    double *y = s->y, *z = s->y + p->nv, *r = s->r;
+    ph_real *y = s->y, *z = s->y + p->nv, *r = s->r;
     const ph_point at = {s->x, y, s->p, s->hp, s->work};
     int i = 0, nconst = late ? p->nconst : p->nconst_early;
-    memset(z, 0, sizeof(double) * (size_t)p->nz);
-    memset(r, 0, sizeof(double) * (size_t)p->nrow);
+    memset(z, 0, sizeof(ph_real) * (size_t)p->nz);
+    memset(r, 0, sizeof(ph_real) * (size_t)p->nrow);
     if (s->resting)
         rest_unknowns(s);
     for (int stage = 0; stage < 2; stage++) {
         for (; i < p->ngroup && p->groups[i].stage == stage; i++) {
             const ph_group *g = &p->groups[i];
             const ph_kernel *kernel = &s->code->kernels[g->kernel];
-            double *target = stage ? r : z;
+            ph_real *target = stage ? r : z;
             if (g->late && !late)
                 continue;
             if (slots)
@@ -112,7 +116,7 @@ void ph_eval(ph_system *s, int slots, int late) {
 void ph_eval_late(ph_system *s) {
     const ph_plan *p = s->plan;
     const ph_point at = {s->x, s->y, s->p, s->hp, s->work};
-    memset(s->r + p->nw, 0, sizeof(double) * (size_t)(p->nrow - p->nw));
+    memset(s->r + p->nw, 0, sizeof(ph_real) * (size_t)(p->nrow - p->nw));
     for (int i = 0; i < p->ngroup; i++) {
         const ph_group *g = &p->groups[i];
         if (g->reports)
@@ -129,11 +133,11 @@ void ph_eval_matrix(ph_system *s) {
     const int *restrict ps = p->varying_s;
     const int *restrict pt = p->varying_t;
     const double *restrict c = s->products;
-    const double *restrict v = s->v;
+    const ph_real *restrict v = s->v;
     int l = 0;
     for (int i = 0; i < p->nvarying; i++) {
         int e = p->varying_entry[i], end = p->varying_ptr[i + 1];
-        double sum = s->fixed[e] + c[l] * v[ps[l]] * v[pt[l]]; /* most entries are one product */
+        ph_real sum = s->fixed[e] + c[l] * v[ps[l]] * v[pt[l]]; /* most entries are one product */
         while (++l < end)
             sum += c[l] * v[ps[l]] * v[pt[l]];
         s->a[e] = sum;
@@ -143,22 +147,22 @@ void ph_eval_matrix(ph_system *s) {
 }
 
 /* out: nderivative. */
-void ph_eval_derivatives(ph_system *s, double *out) {
+void ph_eval_derivatives(ph_system *s, ph_real *out) {
     const ph_plan *p = s->plan;
     int l = 0;
     for (int e = 0; e < p->nderivative; e++)
-        for (out[e] = 0.0; l < p->derivative_ptr[e + 1]; l++)
+        for (out[e] = ph_spread(0.0); l < p->derivative_ptr[e + 1]; l++)
             out[e] += s->derivatives[l] * s->v[p->derivative_s[l]] * s->v[p->derivative_t[l]];
 }
 
 /* stored, moved, lost, numerical: ncomp each, overwritten; lost is a rate, to be multiplied by the step. */
-void ph_eval_ledger(ph_system *s, double *stored, double *moved, double *lost, double *numerical) {
+void ph_eval_ledger(ph_system *s, ph_real *stored, ph_real *moved, ph_real *lost, ph_real *numerical) {
     const ph_plan *p = s->plan;
     const ph_point at = {s->x, s->y, s->p, s->hp, s->work};
-    memset(stored, 0, sizeof(double) * (size_t)p->ncomp);
-    memset(moved, 0, sizeof(double) * (size_t)p->ncomp);
-    memset(lost, 0, sizeof(double) * (size_t)p->ncomp);
-    memset(numerical, 0, sizeof(double) * (size_t)p->ncomp);
+    memset(stored, 0, sizeof(ph_real) * (size_t)p->ncomp);
+    memset(moved, 0, sizeof(ph_real) * (size_t)p->ncomp);
+    memset(lost, 0, sizeof(ph_real) * (size_t)p->ncomp);
+    memset(numerical, 0, sizeof(ph_real) * (size_t)p->ncomp);
     for (int i = 0; i < p->ngroup; i++) {
         const ph_kernel *kernel = &s->code->kernels[p->groups[i].kernel];
         if (kernel->ledger)

@@ -4,6 +4,7 @@
 
 #include "system.h"
 
+#ifndef PH_WIDTH
 int ph_finite(const double *values, int n) {
     double sum = 0.0;
     for (int i = 0; i < n; i++)
@@ -34,6 +35,7 @@ int ph_set_node_inputs(ph_instance *in, const double *u) {
     in->head->dirty = 1;
     return PH_OK;
 }
+#endif
 
 /* in->basis (k) = Lagrange polynomials of the nodes at theta in [0, 1]. */
 void ph_basis(ph_instance *in, double theta) {
@@ -47,7 +49,7 @@ void ph_basis(ph_instance *in, double theta) {
 }
 
 /* u (nu) = interpolation polynomial of the node values at theta in [0, 1]. */
-void ph_inputs_at(ph_instance *in, double theta, double *u) {
+void ph_inputs_at(ph_instance *in, double theta, ph_real *u) {
     const ph_plan *p = in->model->step;
     if (!in->head->held)
         ph_basis(in, theta);
@@ -55,19 +57,19 @@ void ph_inputs_at(ph_instance *in, double theta, double *u) {
         u[j] = in->u[j];
         if (in->head->held)
             continue;
-        u[j] = 0.0;
+        u[j] = ph_spread(0.0);
         for (int i = 0; i < p->k; i++)
             u[j] += in->basis[i] * in->u[i * p->nu + j];
     }
 }
 
 /* u (nu*k) = inputs at the nodes of the part [from, from + length] of the step. */
-void ph_resample(ph_instance *in, double from, double length, double *u) {
+void ph_resample(ph_instance *in, double from, double length, ph_real *u) {
     const ph_plan *p = in->model->step;
     if (p->nu == 0)
         return;
     if (in->head->held || length == 1.0) {
-        memcpy(u, in->u, sizeof(double) * (size_t)(p->nu * p->k));
+        memcpy(u, in->u, sizeof(ph_real) * (size_t)(p->nu * p->k));
         return;
     }
     for (int i = 0; i < p->k; i++)
@@ -79,11 +81,11 @@ void ph_resample(ph_instance *in, double from, double length, double *u) {
  * inner nodes, h sum_i b_i u_i y_i is the energy that was booked. */
 void ph_book_nodes(ph_instance *in, double from, double weight) {
     const ph_plan *p = in->model->step;
-    const double *y = in->step.r + p->nw;
+    const ph_real *y = in->step.r + p->nw;
     if (p->k == 1)
         return;
     if (weight == 1.0) {
-        memcpy(in->y_node, y, sizeof(double) * (size_t)(p->nq * p->k));
+        memcpy(in->y_node, y, sizeof(ph_real) * (size_t)(p->nq * p->k));
         return;
     }
     for (int m = 0; m < p->k; m++) {

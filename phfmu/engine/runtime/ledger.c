@@ -5,9 +5,9 @@
 #include "system.h"
 
 /* x += change, compensated. */
-static void add_all(double *restrict x, double *restrict rest, const double *restrict change, int n) {
+static void add_all(ph_real *restrict x, ph_real *restrict rest, const ph_real *restrict change, int n) {
     for (int i = 0; i < n; i++) {
-        double term = change[i] - rest[i], sum = x[i] + term;
+        ph_real term = change[i] - rest[i], sum = x[i] + term;
         rest[i] = (sum - x[i]) - term;
         x[i] = sum;
     }
@@ -18,11 +18,11 @@ static void move(ph_instance *in) {
     const ph_plan *p = in->step.plan;
     for (int u = 0; u < p->nupdate; u++) {
         const int first = p->update_x[u], n = p->update_n[u];
-        double *restrict change = in->change;
+        ph_real *restrict change = in->change;
         for (int i = 0; i < n; i++)
-            change[i] = 0.0;
+            change[i] = ph_spread(0.0);
         for (int l = p->update_ptr[u]; l < p->update_ptr[u + 1]; l++) {
-            const double *restrict w = in->step.y + p->update_w[l];
+            const ph_real *restrict w = in->step.y + p->update_w[l];
             const double c = p->update_c[l];
             for (int i = 0; i < n; i++)
                 change[i] += c * w[i];
@@ -31,48 +31,50 @@ static void move(ph_instance *in) {
     }
 }
 
-static int within(const double *restrict values, int n) {
-    int beyond = 0;
+static ph_truth beyond(const ph_real *restrict values, int n) {
+    ph_truth found = {0};
     for (int i = 0; i < n; i++)
-        beyond |= !(fabs(values[i]) <= PH_LARGEST);
-    return !beyond;
+        found |= PH_NOT(ph_abs(values[i]) <= PH_LARGEST);
+    return found;
 }
 
-/* Energies of a solved part of length h: in->stored, moved, lost, numerical, energies and means. Refused if
- * they, the states, or the sums they go into are so large that these may not be finite. Nothing of the state
- * changes. */
-int ph_weigh(ph_instance *in, double h) {
+/* Energies of a solved part of length h: in->stored, moved, lost, numerical, energies and means. True if it
+ * is refused, as they, the states, or the sums they go into are so large that these may not be finite.
+ * Nothing of the state changes. */
+ph_truth ph_weigh(ph_instance *in, double h) {
     ph_system *s = &in->step;
     const ph_plan *p = s->plan;
-    const double *sum = in->table + in->offset[PH_ENERGY];
-    double most = 0.0; /* sum of sizes: not a number if a term is none */
-    int fits = within(in->table, p->nx);
+    const ph_real *sum = in->table + in->offset[PH_ENERGY];
+    ph_real most = ph_spread(0.0); /* sum of sizes: not a number if a term is none */
+    ph_truth refused = beyond(in->table, p->nx);
+#ifndef PH_WIDTH
     if (s->resting) {
-        memcpy(in->unspread, s->y, sizeof(double) * (size_t)p->nw);
+        memcpy(in->unspread, s->y, sizeof(ph_real) * (size_t)p->nw);
         ph_rest_spread_step(in);
     }
+#endif
     ph_eval_ledger(s, in->stored, in->moved, in->lost, in->numerical);
     for (int j = 0; j < p->nq; j++) {
-        double y = 0.0, power = 0.0;
+        ph_real y = ph_spread(0.0), power = y;
         for (int i = 0; i < p->k; i++) {
-            double part = p->weights[i] * s->r[p->nw + i * p->nq + j];
+            ph_real part = p->weights[i] * s->r[p->nw + i * p->nq + j];
             y += part;
             power += part * s->y[p->pair_src[i * p->nq + j]];
         }
         in->means[j] = y;
         in->energies[j] = h * power;
-        fits &= fabs(in->energies[j]) + fabs(sum[j]) <= PH_LARGEST;
+        refused |= PH_NOT(ph_abs(in->energies[j]) + ph_abs(sum[j]) <= PH_LARGEST);
     }
     for (int l = 0; l < p->nwork; l++)
-        most += fabs(s->r[p->work_row[l]]);
+        most += ph_abs(s->r[p->work_row[l]]);
     sum += p->nq;
     for (int c = 0; c < p->ncomp; c++) {
-        const double *cumulative = sum + c;
+        const ph_real *cumulative = sum + c;
         in->lost[c] *= h;
-        most += (in->moved[c] + fabs(in->lost[c])) + (fabs(in->numerical[c]) + fabs(cumulative[0])) +
-                (fabs(cumulative[p->ncomp]) + fabs(cumulative[2 * p->ncomp]));
+        most += (in->moved[c] + ph_abs(in->lost[c])) + (ph_abs(in->numerical[c]) + ph_abs(cumulative[0])) +
+                (ph_abs(cumulative[p->ncomp]) + ph_abs(cumulative[2 * p->ncomp]));
     }
-    return fits && most <= PH_LARGEST ? PH_OK : PH_NOT_FINITE;
+    return refused | PH_NOT(most <= PH_LARGEST);
 }
 
 /* Ledger, means and state after a converged and weighed solve of the part [from, from + weight] of the
@@ -80,7 +82,7 @@ int ph_weigh(ph_instance *in, double h) {
 void ph_accept(ph_instance *in, double h, double from, double weight) {
     ph_system *s = &in->step;
     const ph_plan *p = s->plan;
-    double *a = in->table + in->offset[PH_A], *mean = in->table + in->offset[PH_Y_STEP];
+    ph_real *a = in->table + in->offset[PH_A], *mean = in->table + in->offset[PH_Y_STEP];
     if (in->tape)
         in->tape->take(in->tape, in, h);
     for (int c = 0; c < p->ncomp; c++) {
@@ -95,23 +97,25 @@ void ph_accept(ph_instance *in, double h, double from, double weight) {
         in->row[PH_ROW_SUPPLIED][p->pair_owner[j]] += in->energies[j];
     }
     for (int l = 0; l < p->nwork; l++) {
-        double energy = s->r[p->work_row[l]];
+        ph_real energy = s->r[p->work_row[l]];
         in->row[PH_ROW_PAIRS][p->work_pair[l]] += energy;
         in->row[PH_ROW_SUPPLIED][p->pair_owner[p->work_pair[l]]] += energy;
     }
     for (int l = 0; l < p->nmean && p->carries; l++)
-        a[p->mean_a[l]] = 0.0;
+        a[p->mean_a[l]] = ph_spread(0.0);
     for (int l = 0; l < p->nmean; l++) {
-        double part = (p->carries ? 1.0 : weight) * p->mean_c[l] * s->y[p->mean_w[l]];
+        ph_real part = (p->carries ? 1.0 : weight) * p->mean_c[l] * s->y[p->mean_w[l]];
         a[p->mean_a[l]] += p->mean_pow[l] < 0 ? part / h : part;
     }
     ph_book_nodes(in, from, weight);
     move(in);
     in->head->parts++;
-    memcpy(s->last, s->resting ? in->unspread : s->y, sizeof(double) * (size_t)p->nw);
+    memcpy(s->last, s->resting ? in->unspread : s->y, sizeof(ph_real) * (size_t)p->nw);
     *s->last_h = h;
+#ifndef PH_WIDTH
     if (s->resting)
         ph_rest_exchange(in, in->table[p->nx] + h);
+#endif
 }
 
 /* The ledger of the communication step starts at zero. */
@@ -125,15 +129,15 @@ void ph_clear_ledger(ph_instance *in) {
 /* So do its other sums. */
 void ph_begin_step(ph_instance *in, double h) {
     const ph_plan *p = in->step.plan;
-    double *a = in->table + in->offset[PH_A];
-    memcpy(in->x_old, in->table, sizeof(double) * (size_t)(p->nx + 1 + p->na));
+    ph_real *a = in->table + in->offset[PH_A];
+    memcpy(in->x_old, in->table, sizeof(ph_real) * (size_t)(p->nx + 1 + p->na));
     if (p->nu > 0)
-        memcpy(in->u_old, in->u, sizeof(double) * (size_t)(p->nu * p->k));
+        memcpy(in->u_old, in->u, sizeof(ph_real) * (size_t)(p->nu * p->k));
     ph_clear_ledger(in);
     ph_clear(in->table + in->offset[PH_Y_STEP], p->nq);
     ph_clear(in->y_node, p->k > 1 ? p->nq * p->k : 0);
     for (int l = 0; l < p->nmean && !p->carries; l++)
-        a[p->mean_a[l]] = 0.0;
+        a[p->mean_a[l]] = ph_spread(0.0);
     in->head->parts = 0;
     in->head->step_h = h;
 }
@@ -143,21 +147,21 @@ static void keep(ph_instance *in) {
     ph_system *s = &in->step;
     in->head->kept = s->plan->keep_most > 0 && s->lu.filled && s->lu.ready;
     if (in->head->kept && !s->holds)
-        memcpy(s->kept, s->factored, sizeof(double) * (size_t)s->plan->nnz);
+        memcpy(s->kept, s->factored, sizeof(ph_real) * (size_t)s->plan->nnz);
     s->holds = in->head->kept;
 }
 
 /* Books the step into the cumulative sums. */
 void ph_finish_step(ph_instance *in, double t) {
     const ph_plan *p = in->step.plan;
-    double *energy = in->table + in->offset[PH_ENERGY], *supplied = in->table + in->offset[PH_SUPPLIED];
-    double *dissipated = in->table + in->offset[PH_DISSIPATED];
-    double *residual = in->table + in->offset[PH_RESIDUAL], *rest = in->table_rest;
+    ph_real *energy = in->table + in->offset[PH_ENERGY], *supplied = in->table + in->offset[PH_SUPPLIED];
+    ph_real *dissipated = in->table + in->offset[PH_DISSIPATED];
+    ph_real *residual = in->table + in->offset[PH_RESIDUAL], *rest = in->table_rest;
     for (int j = 0; j < p->nq; j++)
         ph_add(&energy[j], rest++, in->row[PH_ROW_PAIRS][j]);
     for (int c = 0; c < p->ncomp; c++) {
-        double stored = in->row[PH_ROW_STORED][c], lost = in->row[PH_ROW_DISSIPATED][c];
-        double given = in->row[PH_ROW_SUPPLIED][c];
+        ph_real stored = in->row[PH_ROW_STORED][c], lost = in->row[PH_ROW_DISSIPATED][c];
+        ph_real given = in->row[PH_ROW_SUPPLIED][c];
         ph_add(&supplied[c], rest++, given);
         ph_add(&dissipated[c], rest++, lost);
         ph_add(&residual[c], rest++, stored + lost + in->row[PH_ROW_NUMERICAL][c] - given);
@@ -165,7 +169,7 @@ void ph_finish_step(ph_instance *in, double t) {
     if (in->step.lu.ready)
         memcpy(in->step.pivot, in->step.lu.pivot, sizeof(int) * (size_t)p->nw);
     keep(in);
-    in->table[p->nx] = t;
+    in->table[p->nx] = ph_spread(t);
     in->head->theta = 1.0;
     in->head->dirty = 1;
     in->count[PH_STEPS]++;

@@ -15,10 +15,10 @@ void ph_lu_take(ph_lu *lu, ph_pool *pool) {
     lu->start = ph_take_ints(pool, lu->n + 1);
     lu->lower = ph_take_ints(pool, lu->n);
     lu->index = ph_take_ints(pool, lu->capacity);
-    lu->value = ph_take_doubles(pool, lu->capacity);
-    lu->inverse = ph_take_doubles(pool, lu->n);
+    lu->value = ph_take_reals(pool, lu->capacity);
+    lu->inverse = ph_take_reals(pool, lu->n);
     lu->place = ph_take_ints(pool, lu->nnz);
-    lu->work = ph_take_doubles(pool, lu->n);
+    lu->work = ph_take_reals(pool, lu->n);
     lu->mark = ph_take_ints(pool, lu->n);
     lu->stack = ph_take_ints(pool, lu->n);
     lu->child = ph_take_ints(pool, lu->n);
@@ -56,6 +56,7 @@ static int reach(ph_lu *lu, int j) {
     return top;
 }
 
+#ifndef PH_WIDTH
 /* Numbers of column j, pattern given; leaves U in value and the rest in work. */
 static void eliminate(ph_lu *lu, int j, const double *a) {
     double *x = lu->work;
@@ -100,12 +101,14 @@ static int choose(ph_lu *lu, int j, int end, const double *a, double forced) {
         best = prefer;
     return best;
 }
+#endif
 
 /* Columns of the factors from the first to the last; a = NULL: pattern only, for the pivots given. */
-static int full(ph_lu *lu, const double *a, double forced) {
+static int full(ph_lu *lu, const ph_real *a, double forced) {
     int n = lu->n, q = 0;
+    (void)forced;
     lu->known = lu->ready = lu->filled = 0;
-    memset(lu->work, 0, sizeof(double) * (size_t)n);
+    memset(lu->work, 0, sizeof(ph_real) * (size_t)n);
     for (int i = 0; i < n; i++)
         lu->mark[i] = lu->where[i] = -1;
     for (int j = 0; j < n; j++) {
@@ -120,9 +123,13 @@ static int full(ph_lu *lu, const double *a, double forced) {
         for (int i = top; i < n; i++)
             if (lu->where[lu->stack[i]] < 0)
                 lu->index[q++] = lu->stack[i];
-        if (a)
+        row = lu->pivot[j];
+#ifndef PH_WIDTH
+        if (a) {
             eliminate(lu, j, a);
-        row = a ? choose(lu, j, q, a, forced) : lu->pivot[j];
+            row = choose(lu, j, q, a, forced);
+        }
+#endif
         for (at = lu->lower[j]; at < q && lu->index[at] != row; at++) {
         }
         lu->failed = lu->order[j];
@@ -135,10 +142,10 @@ static int full(ph_lu *lu, const double *a, double forced) {
         if (!a)
             continue;
         lu->inverse[j] = 1.0 / lu->work[row];
-        lu->work[row] = 0.0;
+        lu->work[row] = ph_spread(0.0);
         for (int l = lu->lower[j]; l < q; l++) {
             lu->value[l] = lu->work[lu->index[l]] * lu->inverse[j];
-            lu->work[lu->index[l]] = 0.0;
+            lu->work[lu->index[l]] = ph_spread(0.0);
         }
     }
     for (int j = 0; j < n; j++)
@@ -151,6 +158,7 @@ static int full(ph_lu *lu, const double *a, double forced) {
     return PH_OK;
 }
 
+#ifndef PH_WIDTH
 /* Whether a search would take the pivot of step j again; others: the largest below it, of equals none is. */
 static int is_chosen(const ph_lu *lu, int j, double pivot, double others, const double *a) {
     const int prefer = lu->prefer[j], column = lu->order[j];
@@ -167,55 +175,64 @@ static int is_chosen(const ph_lu *lu, int j, double pivot, double others, const 
         return 0;
     return pivot > others;
 }
+#endif
 
 /* New numbers for the pattern and the pivots there are, the same operations in the same order as the full
- * factorisation. searched: by these very pivots, those of a search; else as long as none is too small beside
- * its column. */
-static inline int repeat(ph_lu *lu, const double *a, int searched) {
-    double *restrict x = lu->work;
-    double *restrict value = lu->value;
+ * factorisation; of several runs those are told that refuse it. searched: by these very pivots, those of a
+ * search; else as long as none is too small beside its column. */
+static inline int repeat(ph_lu *lu, const ph_real *a, int searched) {
+    ph_real *restrict x = lu->work;
+    ph_real *restrict value = lu->value;
     const int *restrict index = lu->index;
+    ph_truth refused = {0};
+    (void)searched;
     for (int j = 0; j < lu->n; j++) {
         int column = lu->order[j], lower = lu->lower[j], end = lu->start[j + 1];
-        double pivot, most = 0.0;
+        ph_real pivot, most = ph_spread(0.0);
         for (int e = lu->colptr[column]; e < lu->colptr[column + 1]; e++)
             x[lu->place[e]] = a[e];
         for (int q = lu->start[j]; q < lower; q++) {
             int k = index[q], last = lu->start[k + 1];
-            double xk = x[k];
-            x[k] = 0.0;
+            ph_real xk = x[k];
+            x[k] = ph_spread(0.0);
             value[q] = xk;
             for (int l = lu->lower[k]; l < last; l++)
                 x[index[l]] -= value[l] * xk;
         }
         pivot = x[j];
+#ifndef PH_WIDTH
         if (searched) {
             for (int q = lower; q < end; q++)
                 if (fabs(x[index[q]]) > most)
                     most = fabs(x[index[q]]);
             most = is_chosen(lu, j, fabs(pivot), most, a) ? 0.0 : INFINITY;
         }
-        x[j] = 0.0;
+#endif
+        x[j] = ph_spread(0.0);
         lu->inverse[j] = 1.0 / pivot;
         for (int q = lower; q < end; q++) {
-            double xi = x[index[q]];
-            x[index[q]] = 0.0;
+            ph_real xi = x[index[q]];
+            x[index[q]] = ph_spread(0.0);
             value[q] = xi * lu->inverse[j];
-            if (fabs(xi) > most)
-                most = fabs(xi);
+            most = ph_where(ph_abs(xi) > most, ph_abs(xi), most);
         }
-        if (!(fabs(pivot) >= GROWTH * most) || pivot == 0.0)
+        refused |= PH_NOT(ph_abs(pivot) >= GROWTH * most) | (pivot == 0.0);
+#ifndef PH_WIDTH
+        if (refused)
             return PH_SINGULAR;
+#endif
     }
     lu->filled = 1;
+    lu->refused = refused;
     return PH_OK;
 }
 
 /* Same pattern and pivots. Returns PH_SINGULAR when a pivot has become too small beside its column. */
-int ph_lu_refactor(ph_lu *lu, const double *a) {
+int ph_lu_refactor(ph_lu *lu, const ph_real *a) {
     return repeat(lu, a, 0);
 }
 
+#ifndef PH_WIDTH
 /* A search for pivots, to the last bit that of `full`. It mostly finds those of the last factors, which
  * is seen at a fraction of the cost on the way through their pattern. */
 static int search(ph_lu *lu, const double *a) {
@@ -244,6 +261,7 @@ int ph_lu_forced(ph_lu *lu, const double *a, double forced) {
     lu->known = lu->ready = 0;
     return status;
 }
+#endif
 
 /* Takes over pivot rows (n, pivot[0] = -1: none) and rebuilds their pattern if they are new. */
 int ph_lu_adopt(ph_lu *lu, const int *pivot) {
@@ -260,26 +278,27 @@ int ph_lu_adopt(ph_lu *lu, const int *pivot) {
 }
 
 /* x = A^-1 b with the last factor; b and x: n, may not overlap. */
-void ph_lu_solve(ph_lu *lu, const double *b, double *x) {
-    double *restrict y = lu->work;
-    const double *restrict value = lu->value;
+void ph_lu_solve(ph_lu *lu, const ph_real *b, ph_real *x) {
+    ph_real *restrict y = lu->work;
+    const ph_real *restrict value = lu->value;
     const int *restrict index = lu->index;
     for (int j = 0; j < lu->n; j++)
         y[j] = b[lu->pivot[j]];
     for (int j = 0; j < lu->n; j++) {
-        double yj = y[j];
+        ph_real yj = y[j];
         for (int l = lu->lower[j]; l < lu->start[j + 1]; l++)
             y[index[l]] -= value[l] * yj;
     }
     for (int j = lu->n - 1; j >= 0; j--) {
-        double yj = y[j] * lu->inverse[j];
-        y[j] = 0.0;
+        ph_real yj = y[j] * lu->inverse[j];
+        y[j] = ph_spread(0.0);
         x[lu->order[j]] = yj;
         for (int q = lu->start[j]; q < lu->lower[j]; q++)
             y[index[q]] -= value[q] * yj;
     }
 }
 
+#ifndef PH_WIDTH
 /* x = A^-T b with the last factor; b and x: n, may not overlap. */
 void ph_lu_solve_transposed(ph_lu *lu, const double *b, double *x) {
     double *restrict y = lu->work;
@@ -298,3 +317,4 @@ void ph_lu_solve_transposed(ph_lu *lu, const double *b, double *x) {
     }
     memset(y, 0, sizeof(double) * (size_t)lu->n);
 }
+#endif

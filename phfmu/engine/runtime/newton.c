@@ -9,23 +9,19 @@
 #include <math.h>
 #include <string.h>
 
-#include "system.h"
-
-/* An update this small, and smaller than the last one by this factor, lets the next iteration keep the
- * matrix: it contracts about as fast as a new one would, and the polish settles the rest. */
-#define CHORD 1e-1
-#define CONTRACTION 0.1
+#include "course.h"
 
 /* delta on the diagonals of multipliers, small in units of their columns too: lambda enters as h, and beside
  * the Schur complement delta must not grow as steps become shorter. A column without entries (Dg = 0) gets
  * all of it. */
-static void regularise(const ph_plan *p, double *scaled) {
+static void regularise(const ph_plan *p, ph_real *scaled) {
     for (int l = 0; l < p->nreg; l++) {
         int j = p->matrix_row[p->regularised[l]];
-        double most = 0.0;
+        ph_real most = ph_spread(0.0), part;
         for (int e = p->colptr[j]; e < p->colptr[j + 1]; e++)
-            most = fabs(scaled[e]) > most ? fabs(scaled[e]) : most;
-        scaled[p->regularised[l]] += most > 0.0 ? fmin(PH_DELTA, PH_DELTA_PART * most) : PH_DELTA;
+            most = ph_where(ph_abs(scaled[e]) > most, ph_abs(scaled[e]), most);
+        part = PH_DELTA_PART * most;
+        scaled[p->regularised[l]] += ph_where((most > 0.0) & (part < PH_DELTA), part, ph_spread(PH_DELTA));
     }
 }
 
@@ -40,44 +36,56 @@ void ph_newton_bare(ph_system *s, int bare) {
  * (a linear model) is not factored again. */
 int ph_newton_factor(ph_system *s) {
     const ph_plan *p = s->plan;
-    const size_t bytes = sizeof(double) * (size_t)p->nnz;
+    const size_t bytes = sizeof(ph_real) * (size_t)p->nnz;
+    ph_truth empty = {0};
     int status;
     if (s->lu.filled && memcmp(s->a, s->factored, bytes) == 0)
         return PH_OK;
     s->holds = 0;
-    double *restrict scale = s->scale;
-    double *restrict scaled = s->scaled;
-    const double *restrict a = s->a;
+    ph_real *restrict scale = s->scale;
+    ph_real *restrict scaled = s->scaled;
+    const ph_real *restrict a = s->a;
     for (int i = 0; i < p->nw; i++)
-        scale[i] = 0.0;
+        scale[i] = ph_spread(0.0);
     for (int e = 0; e < p->nnz; e++) {
-        double size = fabs(a[e]);
+        ph_real size = ph_abs(a[e]);
         int i = p->matrix_row[e];
-        scale[i] = size > scale[i] ? size : scale[i];
+        scale[i] = ph_where(size > scale[i], size, scale[i]);
     }
     s->empty = -1;
     s->lu.filled = 0; /* the scale goes with the factor */
     for (int i = 0; i < p->nw; i++) {
+        empty |= PH_NOT(scale[i] > 0.0);
+#ifndef PH_WIDTH
         if (!(scale[i] > 0.0))
             s->empty = i;
+#endif
         scale[i] = 1.0 / scale[i];
     }
-    if (s->empty >= 0)
+#ifndef PH_WIDTH
+    if (empty)
         return PH_SINGULAR;
+#endif
     for (int e = 0; e < p->nnz; e++)
         scaled[e] = a[e] * scale[p->matrix_row[e]];
     if (!s->bare)
         regularise(p, scaled);
+#ifdef PH_WIDTH
+    status = ph_lu_refactor(&s->lu, scaled);
+    s->lu.refused |= empty;
+#else
     status = ph_lu_factor(&s->lu, scaled, s->count);
     if (status == PH_SINGULAR && s->bare) { /* rows depend on each other just here: delta leads past it */
         regularise(p, scaled);
         status = ph_lu_factor(&s->lu, scaled, s->count);
     }
+#endif
     if (status == PH_OK)
         memcpy(s->factored, s->a, bytes);
     return status;
 }
 
+#ifndef PH_WIDTH
 /* The factor of the kept matrix with the pivots of the state, made again where another one has taken its
  * place: the same bits, as it is the same sums in the same order. */
 int ph_newton_recall(ph_system *s) {
@@ -93,29 +101,32 @@ int ph_newton_recall(ph_system *s) {
     s->holds = 1;
     return PH_OK;
 }
+#endif
 
-/* rhs = scale R; returns its 2-norm. */
-static double scale_residual(ph_system *s) {
-    double sum = 0.0;
+/* rhs = scale R; returns its squared 2-norm. */
+static ph_real scale_residual(ph_system *s) {
+    ph_real sum = ph_spread(0.0);
     for (int i = 0; i < s->plan->nw; i++) {
         s->rhs[i] = s->scale[i] * s->r[i];
         sum += s->rhs[i] * s->rhs[i];
     }
-    return sqrt(sum);
+    return sum;
 }
 
 /* w = base - damping dw; returns the scaled norm of dw, not finite if any entry is not. */
-static double move(ph_system *s, const double *base, double damping) {
-    double *w = s->y, most = 0.0, sum = 0.0;
+static ph_real correct(ph_system *s, const ph_real *base, double damping) {
+    ph_real *w = s->y, most = ph_spread(0.0), sum = most;
     for (int i = 0; i < s->plan->nw; i++) {
-        double size, dw = s->dw[i];
+        ph_real size, dw = s->dw[i];
         w[i] = base[i] - damping * dw;
-        size = fabs(dw) / (s->plan->nominal[i] + fabs(w[i]));
+        size = ph_abs(dw) / (s->plan->nominal[i] + ph_abs(w[i]));
         sum += size;
-        most = size > most ? size : most;
+        most = ph_where(size > most, size, most);
     }
-    return isfinite(sum) ? most : sum;
+    return ph_where(sum - sum == 0.0, most, sum);
 }
+
+#ifndef PH_WIDTH
 
 /* size (nw): what rounding leaves in each row, eps sum_j |A_ij| (|w_j| + |x_j|), x_j the state whose
  * increment w_j is. A residual of that size belongs to equations changed by eps alone. nominal = 1 judges
@@ -161,13 +172,13 @@ static int damp(ph_system *s, double norm, double *damping) {
     const int floor = at_floor(s, 0.0, s->base);
     memcpy(s->base, s->y, sizeof(double) * (size_t)s->plan->nw);
     for (*damping = 1.0; *damping >= PH_LEAST_DAMPING; *damping *= 0.5) {
-        s->update = move(s, s->base, *damping);
+        s->update = correct(s, s->base, *damping);
         if (!isfinite(s->update))
             return PH_NOT_FINITE;
         if (floor)
             return PH_OK;
         ph_eval(s, 0, 0);
-        if (scale_residual(s) < norm)
+        if (sqrt(scale_residual(s)) < norm)
             return PH_OK;
     }
     return PH_NO_CONVERGENCE;
@@ -183,7 +194,7 @@ static int linearise(ph_system *s, int chord, double *norm) {
         if (status)
             return status;
     }
-    *norm = scale_residual(s);
+    *norm = sqrt(scale_residual(s));
     return isfinite(*norm) ? PH_OK : PH_NOT_FINITE;
 }
 
@@ -198,40 +209,20 @@ static int polish(ph_system *s) {
     return ph_finite(s->r, s->plan->nrow) ? PH_OK : PH_NOT_FINITE;
 }
 
-/* Update small enough that one polish reaches rounding. Two updates tell what is left after it, whether they
- * shrink linearly (a kept factor, delta against a nearly singular matrix) or by squares; once one grew, as
- * stiff and free directions take turns, both must be small. Two in a row that hardly shrink are at the floor
- * if the residual before the last is rounding, or if they are tiny and only noise is left; so are many of
- * which none is the smallest yet, which wander where constraints nearly lose rank. */
-static int solved(const ph_system *s, int kept, int grew, int stalls, int wanders, double previous) {
-    double ratio = s->update / previous;
-    int crawls = ratio > PH_CRAWL && ratio < 1.0;
-    if (s->update == 0.0)
-        return 1;
-    if (kept && !isfinite(previous)) /* the first update of a factor from before says nothing of the next */
-        return 0;
-    if (s->update <= PH_TOLERANCE && (!grew || previous <= PH_TOLERANCE) &&
-        ratio * ratio * s->update <= PH_ROUNDING)
-        return 1;
-    if (kept || s->update > (crawls ? PH_CRAWLING : PH_STAGNATION))
-        return 0;
-    if (wanders >= PH_WANDERING)
-        return at_floor(s, 0.0, s->base);
-    if (ratio <= PH_SHRINKING || stalls < PH_STALLS)
-        return 0;
-    return (ratio >= 1.0 - PH_SAME_UPDATE && s->update <= PH_TOLERANCE) || at_floor(s, crawls, s->base);
+/* Whether the last update is small enough (course.h), the floor looked at where that decides. */
+static int solved(const ph_system *s, const ph_course *c) {
+    const ph_verdict verdict = ph_course_verdict(c);
+    return verdict == PH_SOLVED || (verdict >= PH_AT_FLOOR && at_floor(s, verdict == PH_CRAWLS, s->base));
 }
 
 /* From the w in Y to the solution; afterwards Y and all rows R belong to the final w. */
 int ph_newton(ph_system *s, ph_newton_kind kind) {
     const int damped = kind == PH_DAMPED;
-    double previous = INFINITY, least = INFINITY;
-    int chord = kind == PH_KEPT, grew = 0, stalls = 0, wanders = 0;
+    ph_course course = ph_course_begun(kind);
     s->update = INFINITY;
     for (s->iterations = 1; s->iterations <= PH_NEWTON_ITERATIONS; s->iterations++) {
         double norm, damping = 1.0;
-        int kept = chord;
-        int status = linearise(s, chord, &norm);
+        int status = linearise(s, course.chord, &norm);
         if (status)
             return status;
         ph_lu_solve(&s->lu, s->rhs, s->dw);
@@ -241,23 +232,15 @@ int ph_newton(ph_system *s, ph_newton_kind kind) {
             if (status)
                 return status;
         } else {
-            s->update = move(s, s->y, 1.0);
+            s->update = correct(s, s->y, 1.0);
             if (!isfinite(s->update))
                 return PH_NOT_FINITE;
         }
-        grew |= s->update > previous && s->update > PH_TOLERANCE;
-        stalls = s->update > PH_SHRINKING * previous && s->update <= PH_GROWN * previous ? stalls + 1 : 0;
-        wanders = s->update < least ? 0 : wanders + 1;
-        least = fmin(least, s->update);
-        if (damping == 1.0 && solved(s, kept, grew, stalls, wanders, previous))
+        ph_course_watch(&course, s->update);
+        if (damping == 1.0 && solved(s, &course))
             return polish(s);
-        chord = 0;
-        if (kept && s->update > previous) { /* the old matrix led astray: take it back, use a new one */
-            move(s, s->y, -1.0);
-            continue;
-        }
-        chord = kind <= PH_CHORD && !grew && s->update <= CHORD && s->update <= CONTRACTION * previous;
-        previous = s->update;
+        if (ph_course_goes_on(&course, kind))
+            correct(s, s->y, -1.0);
     }
     s->iterations = PH_NEWTON_ITERATIONS;
     return PH_NO_CONVERGENCE;
@@ -303,3 +286,4 @@ void ph_solve_refined(ph_system *s) {
     for (int i = 0; i < p->nw; i++)
         s->dw[i] += correction[i];
 }
+#endif

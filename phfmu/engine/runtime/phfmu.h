@@ -236,8 +236,8 @@ PH_API const ph_report *ph_last_report(const ph_instance *in);
 PH_API const char *ph_status_text(int status);
 
 /* sum += term; rest keeps what rounding owes. */
-static inline void ph_add(double *sum, double *rest, double term) {
-    double y = term - *rest, t = *sum + y;
+static inline void ph_add(ph_real *sum, ph_real *rest, ph_real term) {
+    ph_real y = term - *rest, t = *sum + y;
     *rest = (t - *sum) - y;
     *sum = t;
 }

@@ -10,6 +10,7 @@
 #include <stdint.h>
 
 #include "names.h"
+#include "real.h"
 #include "schur.h"
 
 #define PH_VERSION 8
@@ -138,8 +139,9 @@ typedef struct ph_model {
 /* Where kernels read: x old state, y = Y, p parameters, hp = {1, h, h^2}; work: where those that are
  * interpreted work. */
 typedef struct ph_point {
-    const double *x, *y, *p, *hp;
-    double *work;
+    const ph_real *x, *y, *p;
+    const double *hp;
+    ph_real *work;
 } ph_point;
 
 /* One entry of the kernel table: loops over a group, compiled (group.inc) or interpreted (interpret.h).
@@ -148,10 +150,10 @@ typedef struct ph_point {
  * kernel has none). */
 typedef struct ph_kernel ph_kernel;
 struct ph_kernel {
-    void (*value)(const ph_kernel *self, const ph_group *, const ph_point *, double *target);
-    void (*full)(const ph_kernel *self, const ph_group *, const ph_point *, double *target, double *slots);
-    void (*ledger)(const ph_kernel *self, const ph_group *, const ph_point *, double *stored, double *moved,
-                   double *lost, double *numerical);
+    void (*value)(const ph_kernel *self, const ph_group *, const ph_point *, ph_real *target);
+    void (*full)(const ph_kernel *self, const ph_group *, const ph_point *, ph_real *target, ph_real *slots);
+    void (*ledger)(const ph_kernel *self, const ph_group *, const ph_point *, ph_real *stored, ph_real *moved,
+                   ph_real *lost, ph_real *numerical);
     int nx, ny, np, no, nj;
     int nwork;           /* length of the work space it needs */
     const void *program; /* what it runs, if it is interpreted */
@@ -175,7 +177,7 @@ static inline int ph_code_work(const ph_code *code) {
     return most;
 }
 
-static inline void ph_value_of(const ph_code *code, const ph_group *g, const ph_point *at, double *target) {
+static inline void ph_value_of(const ph_code *code, const ph_group *g, const ph_point *at, ph_real *target) {
     const ph_kernel *kernel = &code->kernels[g->kernel];
     kernel->value(kernel, g, at, target);
 }

@@ -4,15 +4,23 @@
 
 #include <stddef.h>
 
+#include "real.h"
+
 /* Without a block it only counts. */
 typedef struct ph_pool {
     char *base;
     size_t used;
 } ph_pool;
 
+#ifdef PH_WIDTH
+#define PH_ALIGNED sizeof(ph_real)
+#else
+#define PH_ALIGNED 16
+#endif
+
 /* Any type may begin behind so many bytes. */
 static inline size_t ph_padded(size_t bytes) {
-    return (bytes + 15) / 16 * 16;
+    return (bytes + PH_ALIGNED - 1) / PH_ALIGNED * PH_ALIGNED;
 }
 
 static inline void *ph_take(ph_pool *pool, size_t bytes) {
@@ -23,6 +31,10 @@ static inline void *ph_take(ph_pool *pool, size_t bytes) {
 
 static inline double *ph_take_doubles(ph_pool *pool, int n) {
     return ph_take(pool, sizeof(double) * (size_t)n);
+}
+
+static inline ph_real *ph_take_reals(ph_pool *pool, int n) {
+    return ph_take(pool, sizeof(ph_real) * (size_t)n);
 }
 
 static inline int *ph_take_ints(ph_pool *pool, int n) {

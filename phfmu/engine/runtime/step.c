@@ -109,13 +109,29 @@ int ph_skip(ph_instance *in, double t) {
     return PH_OK;
 }
 
+/* Whether a step begins with the factor of the last one. */
+int ph_trusts(const ph_head *head) {
+    return head->kept && head->unkept == 0;
+}
+
 /* Whether factors are kept is measured: one has served if the step takes no factor of its own, nor so many
  * iterations more than steps without that they cost as much. One that has served too few steps is a loss,
  * and the next steps do without. */
+void ph_measure_trust(ph_head *head, int most, int trusts, int iterations, int factored) {
+    if (!trusts) {
+        head->usual = iterations;
+        head->unkept -= head->unkept > 0;
+    } else if (!factored && iterations <= head->usual + most) {
+        head->served += head->served < PH_SERVED_STEPS;
+    } else {
+        head->unkept = head->served < PH_SERVED_STEPS ? PH_UNKEPT_STEPS : 1;
+        head->served = 0;
+    }
+}
+
 static int solve_whole(ph_instance *in, double t, double h) {
     ph_system *s = &in->step;
-    ph_head *head = in->head;
-    const int trusts = head->kept && head->unkept == 0 && ph_newton_recall(s) == PH_OK;
+    const int trusts = ph_trusts(in->head) && ph_newton_recall(s) == PH_OK;
     const long long factored = in->count[PH_FACTORED], begun = in->count[PH_ITERATIONS];
     int status, iterations;
     s->trusts = trusts;
@@ -124,15 +140,7 @@ static int solve_whole(ph_instance *in, double t, double h) {
     if (status)
         return status;
     iterations = (int)(in->count[PH_ITERATIONS] - begun);
-    if (!trusts) {
-        head->usual = iterations;
-        head->unkept -= head->unkept > 0;
-    } else if (in->count[PH_FACTORED] == factored && iterations <= head->usual + s->plan->keep_most) {
-        head->served += head->served < PH_SERVED_STEPS;
-    } else {
-        head->unkept = head->served < PH_SERVED_STEPS ? PH_UNKEPT_STEPS : 1;
-        head->served = 0;
-    }
+    ph_measure_trust(in->head, s->plan->keep_most, trusts, iterations, in->count[PH_FACTORED] != factored);
     return PH_OK;
 }
 

@@ -14,58 +14,59 @@ typedef struct ph_lu {
     int *pivot, *where; /* n each, inverse permutations of each other */
     int *start, *lower; /* n+1, n */
     int *index;         /* capacity */
-    double *value;      /* capacity */
-    double *inverse;    /* n */
+    ph_real *value;     /* capacity */
+    ph_real *inverse;   /* n */
     int *place;         /* nnz: where[rowind] */
-    double *work;       /* n, zero between calls */
+    ph_real *work;      /* n, zero between calls */
     int *mark, *stack, *child;
-    int failed; /* column without a pivot */
-    int known;  /* pivots and their pattern are those of the last factors */
-    int ready;  /* and the next factors are to have them too */
-    int filled; /* the numbers are valid */
+    int failed;       /* column without a pivot */
+    int known;        /* pivots and their pattern are those of the last factors */
+    int ready;        /* and the next factors are to have them too */
+    int filled;       /* the numbers are valid */
+    ph_truth refused; /* of several runs: a pivot has become too small */
 } ph_lu;
 
 /* Its arrays, from sizes n, nnz and capacity. */
 void ph_lu_take(ph_lu *lu, ph_pool *pool);
-int ph_lu_factor(ph_lu *lu, const double *a, long long *count);
-int ph_lu_forced(ph_lu *lu, const double *a, double forced);
-int ph_lu_refactor(ph_lu *lu, const double *a);
+int ph_lu_factor(ph_lu *lu, const ph_real *a, long long *count);
+int ph_lu_forced(ph_lu *lu, const ph_real *a, double forced);
+int ph_lu_refactor(ph_lu *lu, const ph_real *a);
 int ph_lu_adopt(ph_lu *lu, const int *pivot);
-void ph_lu_solve(ph_lu *lu, const double *b, double *x);
-void ph_lu_solve_transposed(ph_lu *lu, const double *b, double *x);
+void ph_lu_solve(ph_lu *lu, const ph_real *b, ph_real *x);
+void ph_lu_solve_transposed(ph_lu *lu, const ph_real *b, ph_real *x);
 
 /* One plan with its work space. The first block points into the state of the instance. */
 typedef struct ph_system ph_system;
 struct ph_system {
     const ph_plan *plan;
     const ph_code *code;
-    double *work; /* of kernels */
-    const double *x, *p;
-    const double *rest; /* nx: what compensated summation still owes x, to be subtracted */
-    double *last;       /* nw: last converged unknowns */
-    double *last_h;     /* step they belong to, 0 = start values */
-    int *pivot;         /* nw, pivots the state remembers; pivot[0] = -1: none */
-    double *kept; /* nnz if factors are kept over steps: the A of the factor at the end of the last step */
-    int *rests;   /* nhold, one for both systems: PH_RESTS = left out */
+    ph_real *work; /* of kernels */
+    const ph_real *x, *p;
+    const ph_real *rest; /* nx: what compensated summation still owes x, to be subtracted */
+    ph_real *last;       /* nw: last converged unknowns */
+    double *last_h;      /* step they belong to, 0 = start values */
+    int *pivot;          /* nw, pivots the state remembers; pivot[0] = -1: none */
+    ph_real *kept; /* nnz if factors are kept over steps: the A of the factor at the end of the last step */
+    int *rests;    /* nhold, one for both systems: PH_RESTS = left out */
 
-    double *y;           /* nv+nz */
-    double *r;           /* nrow */
-    double *v;           /* nslot */
-    double *a;           /* nnz */
-    double *factored;    /* nnz: the A in the factor */
-    double *scaled;      /* nnz */
-    double *scale;       /* nw */
-    double *rhs;         /* nw */
-    double *dw;          /* nw */
-    double *base;        /* nw */
-    double *loose;       /* nw if constraints may rest: a solution found with delta, see attempts.c */
+    ph_real *y;          /* nv+nz */
+    ph_real *r;          /* nrow */
+    ph_real *v;          /* nslot */
+    ph_real *a;          /* nnz */
+    ph_real *factored;   /* nnz: the A in the factor */
+    ph_real *scaled;     /* nnz */
+    ph_real *scale;      /* nw */
+    ph_real *rhs;        /* nw */
+    ph_real *dw;         /* nw */
+    ph_real *base;       /* nw */
+    ph_real *loose;      /* nw if constraints may rest: a solution found with delta, see attempts.c */
     double *fixed;       /* nnz: constant part of A at this h */
     double *products;    /* varying_value h^power */
     double *derivatives; /* derivative_value h^power */
-    double *blocks;      /* nderivative */
+    ph_real *blocks;     /* nderivative */
     double *constants;   /* const_val h^pow */
-    double *gap;         /* nhold: what the constraints that rest miss */
-    double *spread;      /* 2 nhold k + 4 k: work of ph_rest_spread */
+    ph_real *gap;        /* nhold: what the constraints that rest miss */
+    ph_real *spread;     /* 2 nhold k + 4 k: work of ph_rest_spread */
     double hp[3];        /* 1, h, h^2 */
     ph_lu lu;
     int resting; /* constraints left out */
@@ -74,7 +75,7 @@ struct ph_system {
     int trusts;  /* Newton's method begins with it */
     int empty;   /* row without entries at the last factorisation, or -1 */
     int iterations;
-    double update;
+    ph_real update;
     long long *count;
     long long most; /* count[PH_ITERATIONS] from which on no attempt begins */
 };
@@ -83,8 +84,8 @@ void ph_eval_h(ph_system *s, double h);
 void ph_eval(ph_system *s, int slots, int late);
 void ph_eval_late(ph_system *s);
 void ph_eval_matrix(ph_system *s);
-void ph_eval_derivatives(ph_system *s, double *out);
-void ph_eval_ledger(ph_system *s, double *stored, double *moved, double *lost, double *numerical);
+void ph_eval_derivatives(ph_system *s, ph_real *out);
+void ph_eval_ledger(ph_system *s, ph_real *stored, ph_real *moved, ph_real *lost, ph_real *numerical);
 
 typedef enum ph_newton_kind {
     PH_KEPT,   /* begins with the factor of the last step, then as the next one */
@@ -141,6 +142,14 @@ typedef struct ph_head {
     uint64_t halved_ends[PH_KEPT_HALVED]; /* bit l: a substep ends at l + 1 */
 } ph_head;
 
+/* An array of numbers, each of which is one or those of several runs. */
+typedef struct ph_array {
+    double *data;
+    int n;
+} ph_array;
+
+#define PH_STATE_ARRAYS (9 + PH_NROW) /* see ph_state_arrays */
+
 /* Work space of directional derivatives of a step; x is NULL without tangents. */
 typedef struct ph_chain {
     double *x;       /* nx+1+na: old states of an internal step */
@@ -175,33 +184,33 @@ struct ph_instance {
 
     /* State: one block without pointers, addressed from here. */
     ph_head *head;
-    double *table;      /* signal table */
-    double *rest;       /* nx: what compensated summation still owes x */
-    double *table_rest; /* nq + 3 ncomp: the same for the cumulative energies */
-    double *row[PH_NROW];
-    double *u;               /* nu*k */
-    double *p;               /* np */
-    double *x_old;           /* nx+1+na: states, time, algebraic variables at the start of the last step */
-    double *u_old;           /* nu*k: inputs of the last step */
-    double *first;           /* nw: unknowns it began from, if it took more than one solve */
-    double *y_node;          /* nq*k: pair outputs at the nodes of the last step; none if k = 1 */
+    ph_real *table;      /* signal table */
+    ph_real *rest;       /* nx: what compensated summation still owes x */
+    ph_real *table_rest; /* nq + 3 ncomp: the same for the cumulative energies */
+    ph_real *row[PH_NROW];
+    ph_real *u;              /* nu*k */
+    ph_real *p;              /* np */
+    ph_real *x_old;          /* nx+1+na: states, time, algebraic variables at the start of the last step */
+    ph_real *u_old;          /* nu*k: inputs of the last step */
+    ph_real *first;          /* nw: unknowns it began from, if it took more than one solve */
+    ph_real *y_node;         /* nq*k: pair outputs at the nodes of the last step; none if k = 1 */
     ph_rest_change *changes; /* PH_KEPT_CHANGES if constraints may rest */
 
     /* Work space. */
     ph_system step, instant;
-    void *schur;       /* work space of the Schur stepper, or NULL */
-    int fast;          /* 1: the Schur stepper has solved the last part */
-    int planned;       /* 1: those constraints rest that the Schur stepper leaves out */
-    void *backup;      /* state_size */
-    double *stored;    /* ncomp */
-    double *moved;     /* ncomp */
-    double *lost;      /* ncomp */
-    double *numerical; /* ncomp */
-    double *energies;  /* nq: of the pairs, inputs times outputs */
-    double *means;     /* nq: of their outputs */
-    double *unspread;  /* nw if constraints may rest: unknowns before ph_rest_spread */
-    double *basis;     /* k */
-    double *change;    /* nx */
+    void *schur;        /* work space of the Schur stepper, or NULL */
+    int fast;           /* 1: the Schur stepper has solved the last part */
+    int planned;        /* 1: those constraints rest that the Schur stepper leaves out */
+    void *backup;       /* state_size */
+    ph_real *stored;    /* ncomp */
+    ph_real *moved;     /* ncomp */
+    ph_real *lost;      /* ncomp */
+    ph_real *numerical; /* ncomp */
+    ph_real *energies;  /* nq: of the pairs, inputs times outputs */
+    ph_real *means;     /* nq: of their outputs */
+    ph_real *unspread;  /* nw if constraints may rest: unknowns before ph_rest_spread */
+    double *basis;      /* k */
+    ph_real *change;    /* nx */
     ph_chain chain;
     ph_tape *tape;   /* or NULL */
     long long begun; /* count[PH_ITERATIONS] at the start of the internal step */
@@ -209,24 +218,27 @@ struct ph_instance {
     ph_report report;
 };
 
-static inline void ph_clear(double *values, int n) {
+static inline void ph_clear(ph_real *values, int n) {
     for (int i = 0; i < n; i++)
-        values[i] = 0.0;
+        values[i] = ph_spread(0.0);
 }
 
 /* Bytes of the instance of in->model with all it points to; with `memory` (that many, its own) the pointers
  * are set too. */
 size_t ph_lay_out(ph_instance *in, char *memory);
+int ph_state_arrays(ph_instance *in, ph_array *out);
+int ph_trusts(const ph_head *head);
+void ph_measure_trust(ph_head *head, int most, int trusts, int iterations, int factored);
 int ph_finite(const double *values, int n);
-int ph_weigh(ph_instance *in, double h);
+ph_truth ph_weigh(ph_instance *in, double h);
 void ph_accept(ph_instance *in, double h, double from, double weight);
 void ph_begin_step(ph_instance *in, double h);
 void ph_finish_step(ph_instance *in, double t);
 void ph_clear_ledger(ph_instance *in);
 void ph_write_row(ph_instance *in, const ph_record *r, int row);
 int ph_is_sliver(const ph_instance *in, double t, double h);
-void ph_resample(ph_instance *in, double from, double length, double *u);
-void ph_inputs_at(ph_instance *in, double theta, double *u);
+void ph_resample(ph_instance *in, double from, double length, ph_real *u);
+void ph_inputs_at(ph_instance *in, double theta, ph_real *u);
 void ph_basis(ph_instance *in, double theta);
 void ph_book_nodes(ph_instance *in, double from, double weight);
 void ph_seed(ph_instance *in, const double *a);

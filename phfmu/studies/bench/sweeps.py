@@ -120,6 +120,78 @@ def measure(case: Case, jobs: int) -> Cost:
     )  # fmt: skip
 
 
+#: runs that are stepped side by side: scene, what varies, measure, order, s
+TOGETHER = (
+    ("oscillator", "mass1.k", "max(mass1.q)", 2, 1.0), ("oscillator", "mass1.k", "max(mass1.q)", 4, 1.0),
+    ("oscillator", "mass1.k", "max(mass1.q)", 6, 1.0), ("two_machine", "line.R", "max(line.flux[1])", 2, 0.01),
+    ("dc_motor", "R", "max(flux)", 2, 0.1),
+)  # fmt: skip
+SIDE_BY_SIDE = 160  # runs of a turn
+MORE_TURNS = 5
+
+
+@dataclass(frozen=True)
+class Gain:
+    """CPU time of a step of a sweep by one thread in us, each run by itself and several side by side, both with compiled kernels.
+
+    gain: median over turns of both;  inside: part of the steps that were taken side by side;  same: whether bits are the same
+    """
+
+    alone: float
+    together: float
+    gain: float
+    inside: float
+    same: bool
+
+
+def gain(name: str, varied: str, measured: str, order: int, stop: float) -> Gain:
+    from phfmu.engine.native.native import NativeInstance
+    from phfmu.runs.options import Options
+    from phfmu.schemes.named import named_scheme
+    from phfmu.sweeps.native_runs import NativeRuns
+    from phfmu.sweeps.recipe import Recipe
+    from phfmu.target import scene
+
+    here = scene(name)
+    declaration = here.declaration()
+    start = next(
+        float(v) for p in declaration.parameters for n, v in zip(p.names(), p.start, strict=True) if n == varied
+    )
+    options = Options(stop=stop, step=here.step)
+    task = Recipe(here, (varied,), (measured,), options, named_scheme(declaration, order=order), "native").task()
+    compiled = NativeInstance(task.model, kernels="compiled")
+    rows = start * np.linspace(1.0, 1.2, SIDE_BY_SIDE)[:, None]
+    both = NativeRuns(task, lanes=False), NativeRuns(task)
+    times, found = tuple[list[float], list[float]](([], [])), [runs.take(rows) for runs in both]
+    for _ in range(MORE_TURNS):
+        for runs, spent in zip(both, times, strict=True):
+            before = thread_time()
+            runs.take(rows)
+            spent.append(thread_time() - before)
+    del compiled
+    a, b = found
+    n = 1e-6 * a.steps.sum()
+    return Gain(
+        median(times[0]) / n, median(times[1]) / n, median(x / y for x, y in zip(*times, strict=True)),
+        float(b.inside / b.steps.sum()),
+        all(getattr(a, part).tobytes() == getattr(b, part).tobytes() for part in ("values", "steps", "ledger")),
+    )  # fmt: skip
+
+
+def gains(progress: Callable[[str], None] = lambda _: None) -> str:
+    """In Markdown."""
+    head = ["scene", "order", "alone us/step", "side by side us/step", "gain", "steps side by side", "same bits"]
+    lines = ["| " + " | ".join(head) + " |", "|" + " --- |" * len(head)]
+    for case in TOGETHER:
+        progress(f"{case[0]}, order {case[3]}, side by side")
+        g = gain(*case)
+        lines.append(
+            f"| {case[0]} | {case[3]} | {g.alone:.2f} | {g.together:.2f} | {g.gain:.1f} | {100 * g.inside:.1f} % | "
+            f"{'yes' if g.same else 'no'} |"
+        )
+    return "\n".join(lines)
+
+
 def _seconds(take: Callable[[], object]) -> float:
     """Median of some turns."""
     return median(cpu_seconds(take) for _ in range(TURNS))
@@ -160,5 +232,17 @@ at an instant takes a solve there in every step (last row). Memory grows by the 
 """
 
 
+#: after the first table
+LANES = """
+
+## Runs side by side
+
+Steps of several runs at a time, each number a vector with one of each run, against steps of each by itself with compiled
+kernels: CPU time of a step by one thread, with all that a sweep does in it. Models with a Schur stepper (`four_particle`
+above) are stepped run by run.
+
+"""
+
+
 def page(progress: Callable[[str], None] = lambda _: None) -> str:
-    return PAGE + table(progress=progress) + "\n"
+    return PAGE + table(progress=progress) + LANES + gains(progress) + "\n"

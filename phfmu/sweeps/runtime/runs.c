@@ -5,6 +5,8 @@
  */
 #include "runs.h"
 
+#include "lanes.h"
+
 #include <math.h>
 #include <string.h>
 
@@ -14,25 +16,11 @@ enum { PARAMETER, STATE, INPUT };
 /* Stored energies are the last of the signals; what their changes add up to is at hand, the signals take a
  * solve. */
 static double sum(const ph_runs *s, const double *signals, const ph_runs_measure *m) {
-    const double *values = m->first < s->energy ? signals + m->first : s->now + (m->first - s->energy);
+    const double *values = m->first < s->energy ? signals + m->first : s->books->now + (m->first - s->energy);
     double total = 0.0;
     for (int i = 0; i < m->count; i++)
         total += values[i];
     return total;
-}
-
-/* Stored energy from the signals: at the start, and where parameters changed it. */
-static void count_stored(const ph_runs *s) {
-    memcpy(s->now, ph_signals(s->in) + s->energy, sizeof(double) * (size_t)s->ncomp);
-    memcpy(s->accounts->before, s->now, sizeof(double) * (size_t)s->ncomp);
-    memset(s->carry, 0, sizeof(double) * (size_t)s->ncomp);
-}
-
-/* total += x, compensated by what the additions before have lost. */
-static void add_to(double *total, double *carry, double x) {
-    const double part = x + *carry, sum = *total + part;
-    *carry = part - (sum - *total);
-    *total = sum;
 }
 
 static void begin(const ph_runs *s, const double *signals, double t) {
@@ -92,33 +80,33 @@ static void tell(const ph_runs *s, double length, double *out) {
     }
 }
 
-/* The accounts of a run that has none yet; rows are those of the ledger of a step. */
-static void open_accounts(const ph_runs *s) {
-    ph_accounts *b = s->accounts;
-    memset(s->books, 0, sizeof(double) * (size_t)s->nbook);
-    b->violated = b->worst_unexplained = 0.0;
-    b->H0 = s->was;
-    b->H = s->now;
-    b->varying = s->varying;
-    b->stored = ph_ledger(s->in, PH_ROW_STORED);
-    b->dissipated = ph_ledger(s->in, PH_ROW_DISSIPATED);
-    b->supplied = ph_ledger(s->in, PH_ROW_SUPPLIED);
-    b->numerical = s->loses ? ph_ledger(s->in, PH_ROW_NUMERICAL) : NULL;
-    b->moved = ph_ledger(s->in, PH_ROW_MOVED);
-    b->pairs = ph_ledger(s->in, PH_ROW_PAIRS);
+/* Runs side by side, which have the same stretches; each with what it works on. lanes: NULL if there is one.
+ */
+typedef struct {
+    const ph_runs *const *each;
+    int many;
+    ph_lanes *lanes;
+} ph_runs_group;
+
+static void open_books(const ph_runs_group *g) {
+    const ph_runs *s = g->each[0];
+    double *row[PH_NROW];
+    if (g->lanes) {
+        ph_wide_books_open(g->lanes->books, g->lanes->row);
+        return;
+    }
+    for (int i = 0; i < PH_NROW; i++)
+        row[i] = (double *)(uintptr_t)ph_ledger(s->in, i);
+    ph_books_open(s->books, row);
 }
 
-/* Books the last step. H is what its changes add up to, so that it is not solved for. */
-static void book(const ph_runs *s) {
-    ph_accounts *b = s->accounts;
-    memcpy(s->was, s->now, sizeof(double) * (size_t)s->ncomp);
-    for (int k = 0; k < s->ncomp; k++) {
-        const double c = s->constant[k], was = s->was[k];
-        add_to(&s->now[k], &s->carry[k], b->stored[k]);
-        s->varying[k] = fmin(fmax(fabs(was), fabs(s->now[k])), fmax(fabs(was - c), fabs(s->now[k] - c)));
-    }
-    (void)ph_account(b, 0);
-    memcpy(b->before, s->now, sizeof(double) * (size_t)s->ncomp);
+/* Stored energy of run l from the signals: at the start, and where parameters changed it. */
+static void count_stored(const ph_runs_group *g, int l) {
+    const ph_runs *s = g->each[l];
+    const double *energy = ph_signals(s->in) + s->energy;
+    ph_books_stored(s->books, 0, energy);
+    if (g->lanes)
+        ph_wide_books_stored(g->lanes->books, l, energy);
 }
 
 static int start(const ph_runs *s, const double *row) {
@@ -139,12 +127,13 @@ static int start(const ph_runs *s, const double *row) {
     return status ? status : ph_initialise(s->in);
 }
 
-static int change(const ph_runs *s, const ph_runs_stretch *stretch) {
+static int change(const ph_runs_group *g, int l, const ph_runs_stretch *stretch) {
+    const ph_runs *s = g->each[l];
     int status = 0, parameters = 0, inputs = 0;
     for (int i = stretch->change; i < stretch->until; i++) {
-        const ph_runs_change *g = &s->changes[i];
-        (g->kind == PARAMETER ? s->p : s->u)[g->index] = g->value;
-        *(g->kind == PARAMETER ? &parameters : &inputs) = 1;
+        const ph_runs_change *c = &s->changes[i];
+        (c->kind == PARAMETER ? s->p : s->u)[c->index] = c->value;
+        *(c->kind == PARAMETER ? &parameters : &inputs) = 1;
     }
     if (parameters)
         status = ph_set_parameters(s->in, s->p);
@@ -153,7 +142,7 @@ static int change(const ph_runs *s, const ph_runs_stretch *stretch) {
     if (!stretch->inside && !status) /* as a run does, whose next step begins from there */
         status = ph_refresh(s->in);
     if (parameters && !status)
-        count_stored(s);
+        count_stored(g, l);
     return status;
 }
 
@@ -165,49 +154,131 @@ static int consistent(const ph_runs *s) {
     return 1;
 }
 
-static int one(const ph_runs *s, const double *row, double *out, double *facts) {
-    int status = start(s, row);
-    open_accounts(s);
-    facts[0] = facts[1] = 0.0;
-    for (int i = 0; i < s->nstretch && !status; i++) {
-        const ph_runs_stretch *r = &s->stretches[i];
-        status = change(s, r);
-        if (i == 0 && !status) {
-            status = ph_refresh(s->in); /* for H */
-            if (!status && !consistent(s))
-                status = PH_RUNS_INCONSISTENT;
-            if (!status) {
-                count_stored(s);
-                begin(s, ph_signals(s->in), s->t0);
-            }
+/* A stretch of run l begins: what it changes, and with the first one the run. */
+static int enter(const ph_runs_group *g, int l, int i) {
+    const ph_runs *s = g->each[l];
+    int status = change(g, l, &s->stretches[i]);
+    if (i == 0 && !status) {
+        status = ph_refresh(s->in); /* for H */
+        if (!status && !consistent(s))
+            status = PH_RUNS_INCONSISTENT;
+        if (!status) {
+            count_stored(g, l);
+            begin(s, ph_signals(s->in), s->t0);
         }
-        for (int n = r->first; n < r->first + r->n && !status; n++) {
-            status = *(const volatile int *)s->stop ? PH_RUNS_STOPPED : 0;
-            if (!status)
-                status = ph_step(s->in, r->t + (double)n * r->h, r->h);
-            if (!status && s->refresh)
-                status = ph_refresh(s->in);
-            if (status)
-                break;
-            book(s);
-            facts[0] += 1.0;
-            add(s, ph_signals(s->in), r->t + (double)(n + 1) * r->h, r->h);
-        }
-    }
-    if (!status) {
-        facts[1] = ph_worst_share(s->accounts);
-        tell(s, s->length, out);
     }
     return status;
 }
 
-int ph_runs_take(const ph_runs *s, const double *rows, int width, const double *constants, int n, double *out,
-                 double *facts, int *done) {
-    int status = 0;
-    for (*done = 0; *done < n && !status; *done += !status) {
-        const ptrdiff_t i = *done;
-        memcpy(s->constant, constants + i * s->ncomp, sizeof(double) * (size_t)s->ncomp);
-        status = one(s, rows + i * width, out + i * s->nmeasure, facts + 2 * i);
-    }
+/* A step of a run by itself. */
+static int step(const ph_runs *s, double t, double h) {
+    int status = *(const volatile int *)s->stop ? PH_RUNS_STOPPED : 0;
+    if (!status)
+        status = ph_step(s->in, t, h);
+    if (!status && s->refresh)
+        status = ph_refresh(s->in);
     return status;
+}
+
+/* One step of the runs whose status is zero, and into the books with it; those that took it inside the lanes.
+ */
+static unsigned step_all(const ph_runs_group *g, double t, double h, int *status) {
+    ph_lanes *lanes = g->lanes;
+    const int stopped = *(const volatile int *)g->each[0]->stop;
+    const unsigned inside = lanes && !stopped ? ph_lanes_step(lanes, t, h) : 0;
+    for (int l = 0; l < g->many; l++) {
+        if (status[l] || inside >> l & 1)
+            continue;
+        status[l] = step(g->each[l], t, h);
+        if (lanes && !status[l])
+            ph_lanes_enter(lanes, l, g->each[l]->in);
+    }
+    if (lanes)
+        ph_wide_books_step(lanes->books);
+    else if (!status[0])
+        ph_books_step(g->each[0]->books);
+    return inside;
+}
+
+/* What is measured of run l, out of the lanes; energies are those that are booked. */
+static void show(const ph_runs_group *g, int l, unsigned inside) {
+    const ph_runs *s = g->each[l];
+    for (int i = 0; i < s->nmeasure; i++) {
+        const ph_runs_measure *m = &s->measures[i];
+        if (m->first >= s->energy)
+            ph_lanes_show_energy(g->lanes, l, s->books->now);
+        else if (inside >> l & 1)
+            ph_lanes_show(g->lanes, l, m->first, m->count);
+    }
+}
+
+static void march(const ph_runs_group *g, int i, double *facts, int *status) {
+    const ph_runs_stretch *r = &g->each[0]->stretches[i];
+    for (int n = r->first; n < r->first + r->n; n++) {
+        const double end = r->t + (double)(n + 1) * r->h;
+        const unsigned inside = step_all(g, r->t + (double)n * r->h, r->h, status);
+        int going = 0;
+        for (int l = 0; l < g->many; l++) {
+            if (status[l])
+                continue;
+            if (g->lanes)
+                show(g, l, inside);
+            facts[2 * l] += 1.0;
+            add(g->each[l], ph_signals(g->each[l]->in), end, r->h);
+            going = 1;
+        }
+        if (!going)
+            return;
+    }
+}
+
+static void take(const ph_runs_group *g, const double *rows, int width, double *out, double *facts,
+                 int *status) {
+    double share[PH_LANE_WIDTH];
+    open_books(g);
+    for (int l = 0; l < g->many; l++) {
+        status[l] = start(g->each[l], rows + (ptrdiff_t)l * width);
+        facts[2 * l] = facts[2 * l + 1] = 0.0;
+    }
+    for (int i = 0; i < g->each[0]->nstretch; i++) {
+        if (g->lanes)
+            ph_lanes_leave(g->lanes);
+        for (int l = 0; l < g->many; l++)
+            if (!status[l])
+                status[l] = enter(g, l, i);
+        march(g, i, facts, status);
+    }
+    if (g->lanes) {
+        ph_lanes_leave(g->lanes);
+        ph_wide_books_shares(g->lanes->books, share);
+    } else {
+        ph_books_shares(g->each[0]->books, share);
+    }
+    for (int l = 0; l < g->many; l++)
+        if (!status[l]) {
+            const ph_runs *s = g->each[l];
+            facts[2 * l + 1] = share[l];
+            tell(s, s->length, out + (ptrdiff_t)l * s->nmeasure);
+        }
+}
+
+int ph_runs_take(const ph_runs *const *s, int many, void *lanes, const double *rows, int width,
+                 const double *constants, int n, double *out, double *facts, int *status) {
+    int done = 0, failed = 0;
+    while (done < n && !failed) {
+        const ptrdiff_t i = done;
+        const ph_runs_group g = {s, many < n - done ? many : n - done, lanes};
+        for (int l = 0; l < g.many; l++) {
+            const double *constant = constants + (i + l) * s[l]->ncomp;
+            if (g.lanes)
+                ph_wide_books_constant(g.lanes->books, l, constant);
+            else
+                ph_books_constant(s[l]->books, 0, constant);
+        }
+        take(&g, rows + i * width, width, out + i * s[0]->nmeasure, facts + 2 * i, status + i);
+        for (int l = 0; l < g.many; l++)
+            failed |= status[i + l];
+        done += g.many;
+    }
+    return done;
 }

@@ -1,8 +1,7 @@
 #ifndef PH_RUNS_H
 #define PH_RUNS_H
 
-#include "ordinary.h"
-#include "phfmu.h"
+#include "books.h"
 #include <stddef.h>
 
 /* Beside those of ph_status: the start violates a hidden constraint. */
@@ -72,22 +71,14 @@ typedef struct ph_runs {
     double *value;         /* nmeasure, as are the next two: sums and extremes, */
     double *held;          /* the last value, */
     double *time;          /* the time of the extreme */
-    ph_accounts *accounts; /* as a run has them, */
-    double *books;         /* nbook: and all that they add up */
-    int nbook;
-    int loses; /* whether the scheme has a numerical loss */
-    /* ncomp, as are all of the next: what of H is constant */
-    double *constant;
-    double *was;     /* stored energy at the start of the step, */
-    double *now;     /* at its end, */
-    double *carry;   /* and what its sum has lost to rounding */
-    double *varying; /* the larger of both, without what is constant if that is less */
+    const ph_books *books; /* of this run alone */
 } ph_runs;
 
-/* Runs of n rows of values, with what of H is then constant [n*ncomp]; per run the measures, and the steps
- * and the worst ratio of what the ledger misses to what is allowed. Ends at the first run that fails: its
- * status, *done runs are told. */
-PH_API int ph_runs_take(const ph_runs *s, const double *rows, int width, const double *constants, int n,
-                        double *out, double *facts, int *done);
+/* Runs of n rows of values, with what of H is then constant [n*ncomp], `many` at a time, each with a
+ * structure of its own; lanes: steps them together, or NULL. Per run its status, the measures, and the steps
+ * and the worst ratio of what the ledger misses to what is allowed. Ends with those at a time of which one
+ * fails; how many runs were taken. */
+PH_API int ph_runs_take(const ph_runs *const *s, int many, void *lanes, const double *rows, int width,
+                        const double *constants, int n, double *out, double *facts, int *status);
 
 #endif

@@ -80,11 +80,11 @@ typedef struct ph_programs {
     const ph_program *ledger;
 } ph_programs;
 
-PH_API void ph_interpret_value(const ph_kernel *self, const ph_group *g, const ph_point *at, double *target);
-PH_API void ph_interpret_full(const ph_kernel *self, const ph_group *g, const ph_point *at, double *target,
-                              double *slots);
-PH_API void ph_interpret_ledger(const ph_kernel *self, const ph_group *g, const ph_point *at, double *stored,
-                                double *moved, double *lost, double *numerical);
+PH_API void ph_interpret_value(const ph_kernel *self, const ph_group *g, const ph_point *at, ph_real *target);
+PH_API void ph_interpret_full(const ph_kernel *self, const ph_group *g, const ph_point *at, ph_real *target,
+                              ph_real *slots);
+PH_API void ph_interpret_ledger(const ph_kernel *self, const ph_group *g, const ph_point *at, ph_real *stored,
+                                ph_real *moved, ph_real *lost, ph_real *numerical);
 
 PH_API int ph_interpret_function(const ph_function *self, const double **arg, double **res, int *iw,
                                  double *w, int mem);

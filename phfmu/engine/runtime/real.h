@@ -1,0 +1,40 @@
+/* The numbers that a step works on: one number each, or, where PH_WIDTH is defined, those of so many runs of
+ * one model side by side, which go through the same operations. Sources that are compiled for both have
+ * decisions on numbers in the words below; a step of the second kind leaves the runs for which any of them is
+ * unusual. */
+#ifndef PH_REAL_H
+#define PH_REAL_H
+
+#include <math.h>
+
+#ifdef PH_WIDTH
+#ifdef __GNUC__
+#pragma GCC diagnostic ignored "-Wpsabi" /* nothing of this type goes from one compiler's code to another's  \
+                                          */
+#endif
+typedef double ph_real __attribute__((vector_size(8 * PH_WIDTH), aligned(8)));
+typedef long long ph_truth __attribute__((vector_size(8 * PH_WIDTH), aligned(8)));
+
+#define ph_where(c, a, b) ((ph_real)(((c) & (ph_truth)(a)) | (~(c) & (ph_truth)(b))))
+#define ph_abs(a) ((ph_real)((ph_truth)(a) & 0x7fffffffffffffffLL))
+#define ph_spread(a) ((a) - (ph_real){0.0}) /* the same number for all */
+#define PH_NOT(c) (~(c))
+#define PH_TRUE ((ph_truth){0} == 0)
+
+static inline ph_real ph_sqrt(ph_real a) {
+    for (int l = 0; l < PH_WIDTH; l++)
+        a[l] = sqrt(a[l]);
+    return a;
+}
+#else
+typedef double ph_real;
+typedef int ph_truth;
+#define ph_where(c, a, b) ((c) ? (a) : (b))
+#define ph_abs(a) fabs(a)
+#define ph_spread(a) (a)
+#define PH_NOT(c) (!(c))
+#define PH_TRUE 1
+#define ph_sqrt(a) sqrt(a)
+#endif
+
+#endif

@@ -1,0 +1,151 @@
+"""Runs side by side: to the last bit those of each run by itself, whatever happens to one of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from phfmu import PHDAE, Collocated, Event, NativeInstance, Options, Scene, block, energy, grid, parameter, skew, state
+from phfmu.components.library import build
+from phfmu.schemes.named import named_scheme
+from phfmu.sweeps import native_runs
+from phfmu.sweeps.lanes import LANES
+from phfmu.sweeps.native_runs import NativeRuns
+from phfmu.sweeps.outcome import Outcome
+from phfmu.sweeps.recipe import Recipe
+from phfmu.sweeps.runs import sweep
+from phfmu.sweeps.task import ModelTask
+from tests.wide import wide
+
+
+@pytest.fixture(autouse=True)
+def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Side by side from the first step on."""
+    monkeypatch.setattr(native_runs, "PAYS", 0)
+
+
+def growing() -> PHDAE:
+    """x' = a x^2 from 1: without bound at t = 1/a, and steps close to it have to be halved."""
+    x, a = state("x", start=1.0), parameter("a", 0.1)
+    return PHDAE(
+        "grows", (x,), parameters=(a,), energies=(energy(0.5 * x.sx**2),), dissipation=(block((x,), -a.sx * x.sx),)
+    )
+
+
+def sprung() -> PHDAE:
+    """A mass on a spring that is hard where k is large, with a damper: Newton's method takes more iterations for some."""
+    q, p, k = state("q", start=0.3), state("p", start=1.0), parameter("k", 1.0)
+    return PHDAE(
+        "sprung", (q, p), parameters=(k,), energies=(energy(2.0 * q.sx**2 + k.sx * q.sx**4), energy(0.25 * p.sx**2)),
+        structure=(skew(q, p, 1.0),), dissipation=(block((p,), 0.3),),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Both:
+    """Runs side by side, and each by itself."""
+
+    together: Outcome
+    alone: Outcome
+    steps: int
+
+    @property
+    def inside(self) -> float:
+        """Part of the steps that was taken with others."""
+        return self.together.inside / self.steps
+
+    def require_same(self) -> None:
+        a, b = self.together, self.alone
+        assert a.errors == b.errors and b.inside == 0
+        for name in ("values", "steps", "ledger"):
+            assert getattr(a, name).tobytes() == getattr(b, name).tobytes(), name
+
+
+def task(target: PHDAE | Scene, name: str, measures: tuple[str, ...], order: int, options: Options | None) -> ModelTask:
+    d = target.declaration() if isinstance(target, Scene) else target
+    return Recipe(target, (name,), measures, options, named_scheme(d, order=order), "native").task()
+
+
+def both(of: ModelTask, values: np.ndarray) -> Both:
+    rows = np.ascontiguousarray(values, float)[:, None]
+    alone, together = NativeRuns(of, lanes=False).take(rows), NativeRuns(of).take(rows)
+    return Both(together, alone, int(alone.steps.sum()))
+
+
+ORDERS = (2, 4, 6)
+#: scene -> what varies, what is measured, s
+SCENES = {
+    "oscillator": ("mass1.k", ("max(mass1.q)", "rms(mass*.v)", "last(energy.stored)"), 0.5),
+    "two_machine": ("line.R", ("peak(line.flux[1])", "mean(energy.stored)", "tmax(line.flux[2])"), 0.02),
+    "dc_motor": ("R", ("last(flux)", "mean(shaft.speed_step)"), 0.05),
+}
+
+
+@pytest.mark.parametrize("order", ORDERS)
+@pytest.mark.parametrize("name", wide(SCENES, "oscillator"))
+def test_runs_side_by_side_are_those_of_each_by_itself(name: str, order: int, compiler: None) -> None:
+    """Also a number of runs that is no multiple of the lanes; nearly all steps but the first are taken together."""
+    varied, measures, stop = SCENES[name]
+    found = build(name)
+    d = found.declaration() if isinstance(found, Scene) else found
+    step = found.step if isinstance(found, Scene) else 1e-3
+    start = next(p.start[0] for p in d.parameters if varied in p.names())
+    of = task(found, varied, measures, order, Options(stop=stop, step=step))
+    result = both(of, start * np.linspace(0.9, 1.2, 2 * LANES + 3))
+    result.require_same()
+    assert result.inside > 0.9
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_newton_takes_its_own_iterations_in_each_run(order: int, compiler: None) -> None:
+    """Springs of 1e-2 to 1e3: matrices are kept in some runs where others take new ones, and some end sooner."""
+    of = task(sprung(), "k", ("last(q)", "last(p)", "min(energy.stored)"), order, Options(stop=5.0, step=0.05))
+    result = both(of, np.logspace(-2, 3, LANES + 5))
+    result.require_same()
+    assert result.inside > 0.9
+
+
+@pytest.mark.parametrize(("order", "near"), [(2, 0.49), (4, 0.499), (6, 0.499)])
+def test_steps_that_are_halved_and_runs_that_end_with_an_error(order: int, near: float, compiler: None) -> None:
+    """x' = a x^2 up to t = 2: with a < 1/2 it is reached, and where a is little less by halved steps; else never."""
+    of = task(growing(), "a", ("last(x)", "max(energy.stored)"), order, Options(stop=2.0, step=0.1))
+    values = np.array([0.1, near, 0.2, 0.9, 0.3, near, 0.05, 0.4, 0.44, 0.6, near])
+    one = NativeInstance(of.model)
+    one.set_parameters([near])
+    one.run(0.0, 0.1, 20)
+    assert one.counts["substeps"] > 0
+    result = both(of, values)
+    result.require_same()
+    assert [bool(e) for e in result.together.errors] == (values > 0.5).tolist()
+    assert 0.5 < result.inside < 0.99
+
+
+def test_events_change_parameters_and_inputs_of_all(compiler: None) -> None:
+    """A stiffness that is doubled, which is energy brought in, and steps of another length up to an event off the grid."""
+    scene = Scene("struck", sprung(), 3.0, 0.05, (Event(1.0, "k", 2.0), Event(2.013, "k", 1.0)))
+    of = Recipe(scene, ("p",), ("last(q)", "max(energy.stored)"), None, Collocated(1), "native").task()
+    result = both(of, np.linspace(0.5, 1.5, LANES))
+    result.require_same()
+    assert result.inside > 0.8
+
+
+def test_a_model_with_a_schur_stepper_is_stepped_run_by_run(compiler: None) -> None:
+    of = task(build("four_particle"), "k13", ("max(v[1])",), 2, Options(stop=0.1, step=0.01))
+    result = both(of, np.linspace(40.0, 60.0, LANES))
+    result.require_same()
+    assert result.inside == 0.0
+
+
+def test_a_sweep_tells_what_was_taken_side_by_side_and_can_do_without(compiler: None) -> None:
+    runs, options = grid({"k": np.linspace(1.0, 2.0, 3 * LANES + 1)}), Options(stop=1.0, step=0.05)
+    notes, none = list[str](), list[str]()
+    tables = [
+        sweep(sprung(), runs, ["last(q)"], options=options, jobs=2, told=notes.append),
+        sweep(sprung(), runs, ["last(q)"], options=options, jobs=1, lanes=False, told=none.append),
+    ]
+    assert tables[0].equals(tables[1])
+    assert not none and notes == [
+        f"{(3 * LANES + 1) * 19} of {(3 * LANES + 1) * 20} steps side by side, {LANES} runs at a time"
+    ]
