@@ -254,8 +254,8 @@ class Mechanism:
         neutral:   displacement of b and its rotation vector [m, rad] seen from a where it is not loaded, 6 numbers, in the plane
                    3;  a preload F is neutral = -F/k
         places and axes: as of `joint`;  with `at` it is not loaded where the bodies are now
-        phi is the angle about an axis alone up to half a turn, where its torque has no direction: a start there is refused, a
-        step to there fails.  What turns further is a joint with a `stiffness`.
+        phi is the angle about an axis alone: the torque is k phi to 2e-6 up to 90 and 5e-4 up to 120 degrees, and falls to zero
+        at half a turn; what turns further is a joint with a `stiffness`.
         Observables: NAME.displacement [m], NAME.rotation [rad] in the axes of a, NAME.force [N], NAME.torque [N.m] on b in
                    the axes of the world, NAME.energy [J]
         Errors:    ValueError names the bushing and the numbers
