@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 
 #: degree of both polynomials of the approximant
 ORDER = 4
+#: the square of twice the cosine of half the angle is at least this where the angle is told
+SQUARE = 1e-12
 AXES = "xyz"
 
 
@@ -260,14 +262,15 @@ def _polynomial(coefficients: list[float], x: ca.SX) -> ca.SX:
 
 
 def _angles(a: Side, b: Side, dim: int) -> ca.SX:
-    """phi with its signs; from the skew part of R, which rounding does not touch where it is small."""
+    """phi with its signs; from the skew part of R, which rounding does not touch where it is small; bounded at half a turn."""
     if dim == 2:
         return ca.atan2(_cross(a.x, b.x), ca.dot(a.x, b.x))
     skew = 0.5 * ca.vertcat(
         ca.dot(a.z, b.y) - ca.dot(a.y, b.z), ca.dot(a.x, b.z) - ca.dot(a.z, b.x), ca.dot(a.y, b.x) - ca.dot(a.x, b.y)
     )
     trace = sum((ca.dot(getattr(a, x), getattr(b, x)) for x in AXES), ca.SX(0))
-    return 2 * ca.asin(skew / ca.sqrt(1 + trace))
+    e = skew / ca.sqrt(ca.fmax(1 + trace, SQUARE))
+    return 2 * ca.asin(ca.fmax(-1, ca.fmin(1, e)))
 
 
 def _spin(side: Side, rate: Side, dim: int) -> ca.SX:
