@@ -31,7 +31,8 @@ static double sign(const double *s, int n, int j) {
     return s[j * n + j] == 0.0 ? -1.0 : 1.0;
 }
 
-/* Column j of F, s = F D F^T with the signs D; its pivot is 0 where it does not act or depends on those before. */
+/* Column j of F, s = F D F^T with the signs D; its pivot is 0 where it does not act or depends on those
+ * before. */
 static void factorise(const double *s, const signed char *acts, int n, int j, double *factor) {
     double pivot = s[j * n + j], size = pivot;
     for (int k = 0; k < j; k++) {
