@@ -10,11 +10,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import casadi as ca
-import numpy as np
 
-from phfmu.declare.variable import Value
 from phfmu.terms.hidden import Check, Hidden, Level
-from phfmu.terms.port_impulses import masses
+from phfmu.terms.port_impulses import mass_values, masses
 from phfmu.terms.rows import block_matrix, check_rows, costate_symbols
 from phfmu.terms.term import MASS, MASS_BLOCK, Terms
 from phfmu.terms.velocities import velocity_of
@@ -62,22 +60,11 @@ def rates(terms: Terms, A: ca.SX) -> ca.SX:
 
 def massless(terms: Terms) -> list[int]:
     """Velocities of positions with the mass 0, at the start values of the parameters."""
-    velocities, value = set(velocity_of(terms).values()), mass_values(terms)
-    return sorted(i for i, m in value.items() if i in velocities and m == 0.0)
+    velocities = set(velocity_of(terms).values())
+    return sorted(i for i, m in mass_values(terms, terms.of(MASS)).items() if i in velocities and m == 0.0)
 
 
 def typical_mass(terms: Terms) -> float:
     """The mean of the masses that are not 0, 1 where there are none."""
-    found = [m for m in mass_values(terms).values() if m > 0.0]
+    found = [m for m in mass_values(terms, terms.of(MASS)).values() if m > 0.0]
     return sum(found) / len(found) if found else 1.0
-
-
-def mass_values(terms: Terms) -> dict[int, float]:
-    """State -> its mass at the start values of the parameters, where it has one."""
-    p = np.array([s for v in terms.model.parameters for s in v.start], float)
-    known, out = {}, {}
-    for t in terms.of(MASS):
-        if t.key not in known:
-            known[t.key] = ca.Function("m", [t.symbols(Value.PARAMETER)], [t.data["m"]])
-        out[t.rows[0].index] = float(known[t.key](p[list(t.indices(Value.PARAMETER))]))
-    return out

@@ -26,12 +26,12 @@ from phfmu.components.mechanical.multibody import Mechanism
 from tests.wide import slow, wide
 
 MASS, J = 2.0, np.array((0.3, 0.2, 0.15))
-K = np.array((30.0, 50.0, 80.0, 3.0, 5.0, 8.0))
-D = np.array((0.3, 0.2, 0.1, 0.05, 0.02, 0.03))
-C = np.array((10.0, 20.0, 5.0, 1.0, 2.0, 0.5))
-OFF = np.array((0.1, -0.2, 0.05))
+K: Any = np.array((30.0, 50.0, 80.0, 3.0, 5.0, 8.0))
+D: Any = np.array((0.3, 0.2, 0.1, 0.05, 0.02, 0.03))
+C: Any = np.array((10.0, 20.0, 5.0, 1.0, 2.0, 0.5))
+OFF: Any = np.array((0.1, -0.2, 0.05))
 TURN = Rotation.from_rotvec((0.6, -0.4, 0.3)).as_matrix()
-SPIN, SPEED, PLACE = np.array((0.5, 1.0, -0.7)), np.array((0.3, -0.2, 0.5)), np.array((0.1, 0.0, 0.05))
+SPIN, SPEED, PLACE = (0.5, 1.0, -0.7), (0.3, -0.2, 0.5), (0.1, 0.0, 0.05)
 FRAME: dict[str, Any] = {"axis": (0, 0, 1), "x_axis": (1, 0, 0)}
 
 
@@ -96,7 +96,7 @@ def test_small_motion_is_six_oscillators() -> None:
     small = 1e-6
     start = np.array((1.0, -2.0, 1.5, 0.5, 1.0, -1.0)) * small
     m = Mechanism("mount", gravity=(0, 0, 0))
-    b = m.body("block", MASS, J, position=start[:3], rotation=Rotation.from_rotvec(start[3:]).as_matrix())
+    b = m.body("block", MASS, J, position=start[:3].tolist(), rotation=Rotation.from_rotvec(start[3:]).as_matrix())
     m.bushing("mount", None, b, stiffness=K, **FRAME)
     found = ran(m.build(), 6, 0.05, 5.0)
     rate = np.sqrt(K / np.array((MASS, MASS, MASS, *J)))

@@ -49,13 +49,12 @@ def test_a_rod_on_a_plane_takes_the_impulse_of_its_end(order: int) -> None:
     lost = 0.5 * (1 - E**2) * rate**2 * weight
     total = found.ledger.summary()
     assert total.events["state"] == 1
-    kept = G * 1.0 - lost  # of the energy at the start
     end = found.column("energy.stored")
     assert end[-1] - end[0] == pytest.approx(-lost, rel=1e-9)
     spin = np.array([found.column(f"stick.angular_velocity[{i}]")[-1] for i in (1, 2, 3)])
     assert spin == pytest.approx((0, -beside / THIN * (1 + E) * rate * weight, 0), abs=1e-9)
     fall = (1 + E) * rate * weight - G * 0.5
-    assert found.column("stick.momentum[3]")[-1] == pytest.approx(fall, abs=1e-9) and kept > 0
+    assert found.column("stick.momentum[3]")[-1] == pytest.approx(fall, abs=1e-9)
 
 
 def loop(section: float = 0.0, planar: bool = False) -> Any:

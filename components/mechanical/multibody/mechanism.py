@@ -264,15 +264,15 @@ class Mechanism:
         self._require_new(name)
         if a is b or not all(body is None or body in self.bodies for body in (a, b)):
             raise ValueError(f"{what}: it is between two bodies of {self.name}, or the ground and one")
-        laws = [
+        k, d, c = (
             self._along_and_about(f"{label} of {what}", given)
             for label, given in (("stiffness", stiffness), ("damping", damping), ("hardening", hardening))
-        ]
+        )
         shift = self._along_and_about(f"neutral of {what}", neutral)
         pa, pb, frame, other = self._placed(name, a, b, at, at_a, at_b, axis, axis_b, x_axis)
         if angle := float(np.linalg.norm(shift[3:])):
             other = other @ rotation_about(shift[3:], angle).T
-        self.parts.bushings.append(Bushing(name, a, b, pa, pb, frame, other, self.planar, *laws, shift[:3]))
+        self.parts.bushings.append(Bushing(name, a, b, pa, pb, frame, other, self.planar, k, d, c, shift[:3]))
         return self.parts.bushings[-1]
 
     def contact(
