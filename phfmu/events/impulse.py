@@ -37,27 +37,36 @@ def impulses(S: Array, goal: Array, acts: NDArray[np.bool_], strict: int, least:
     n, factor, m = len(goal), factored(S, acts, strict, least), goal.copy()
     if factor is None:
         return None
+    sign = signs(S)
     for j in range(n):
         m[j] = (m[j] - factor[j, :j] @ m[:j]) / factor[j, j] if factor[j, j] else 0.0
+    m *= sign
     for j in range(n - 1, -1, -1):
         if factor[j, j]:
             m[j] = (m[j] - factor[j + 1 :, j] @ m[j + 1 :]) / factor[j, j]
     return m
 
 
+def signs(S: Array) -> Array:
+    """Of the pivots: 1, and -1 of velocities without mass, whose diagonal is 0."""
+    return np.where(S.diagonal() == 0.0, -1.0, 1.0)
+
+
 def factored(S: Array, acts: NDArray[np.bool_], strict: int, least: float) -> Array | None:
-    """The factor of `impulses`, of which columns that do not act or depend on those before them are 0."""
-    n = len(S)
+    """F of `impulses`, S = F D F^T with D of `signs`; columns that do not act or depend on those before them are 0."""
+    n, sign = len(S), signs(S)
     factor = np.zeros_like(S)
     for j in range(n):
-        pivot = S[j, j] - factor[j, :j] @ factor[j, :j]
-        if not acts[j] or not pivot > least * S[j, j]:
+        squares = factor[j, :j] ** 2
+        pivot = sign[j] * (S[j, j] - squares @ sign[:j])
+        size = S[j, j] if S[j, j] else squares @ (sign[:j] > 0)
+        if not acts[j] or not pivot > least * size:
             if acts[j] and j < strict:
                 return None
             continue
         factor[j, j] = np.sqrt(pivot)
         for i in range(j + 1, n):
-            factor[i, j] = (S[i, j] - factor[i, :j] @ factor[j, :j]) / factor[j, j]
+            factor[i, j] = sign[j] * (S[i, j] - (sign[:j] * factor[i, :j]) @ factor[j, :j]) / factor[j, j]
     return factor
 
 

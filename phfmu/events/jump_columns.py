@@ -4,6 +4,13 @@
 
 m: impulses of the jumps, s: of constraints A^T z = 0.  A constraint is part of it where S couples it with a jump, and where a
 mode is in its coefficients.  H must be quadratic along L, and L must not change along its shifts.
+
+Velocities y without mass take no impulse: with the rows B_y of [on, A] in them, and w their change,
+
+    [ S  B_y^T ] [m, s]   [ c+ - c- ]        S = B_x^T M_x^-1 B_x + g B_y^T B_y,      L = [ M_x^-1 B_x   0 ]
+    [ B_y  0   ] [  w ] = [    0    ],       c = B_x^T v_x + B_y^T v_y,                    [      0       1 ]
+
+for any g > 0: it makes S definite, and B_y [m, s] = 0.  They are columns of their own behind the constraints, with S_jj = 0.
 """
 
 from __future__ import annotations
@@ -20,7 +27,7 @@ from phfmu.declare.variable import VariableKind, _sx
 from phfmu.terms.bare import depends
 from phfmu.terms.canonical import Locator, components
 from phfmu.terms.extract_energy import component_energies
-from phfmu.terms.held import Held, held, rates
+from phfmu.terms.held import Held, held, massless, rates, typical_mass
 from phfmu.terms.term import CLOSED, MASS_BLOCK, Terms
 
 #: states of a block of E whose inverse is written out
@@ -31,6 +38,7 @@ BLOCK = 8
 class JumpColumns:
     """N columns: those of the n jumps, of ports where they are asked for, and of the constraints that are `held`.
 
+    The last of those that are `held` may be velocities without mass.
     moved: states that L (moved x N) moves;  components: those whose energy they change;  c (components x N);  S (N x N);  e (n)
     """
 
@@ -60,14 +68,19 @@ def jump_columns(
         return None
     names = [f"jump '{name}'" for name, _ in found] + [f"the impulse at {name}" for name, _ in ports]
     names += [f"the constraint of {name} at state events" for name in met.names]
-    _require_rates(terms, names, ca.horzcat(own, met.A))
-    full = ca.sparsify(rates(terms, ca.horzcat(own, met.A)))
+    both = ca.sparsify(ca.horzcat(own, met.A))
+    _require_rates(terms, names, both)
+    light = [i for i in massless(terms) if both[i, :].nnz()]
+    heavy = ca.SX(both)
+    heavy[light, :] = 0
+    full = ca.sparsify(rates(terms, ca.sparsify(heavy)))
     moved = sorted(set(full.sparsity().get_triplet()[0]))
     L, psi = full[moved, :], model.x[moved]
     energies = component_energies(terms)
     inside = [i for i, h in enumerate(energies) if ca.depends_on(h, psi)]
     c = ca.vertcat(ca.SX(0, L.shape[1]), *(ca.mtimes(L.T, ca.gradient(energies[i], psi)).T for i in inside))
     S = ca.mtimes([L.T, ca.hessian(sum(energies, ca.SX(0)), psi)[0], L])
+    S += ca.mtimes(both[light, :].T, both[light, :]) / typical_mass(terms)
     for j, name in enumerate(names):
         reason = _bent(L[:, j], S, j, psi)
         if reason:
@@ -75,7 +88,25 @@ def jump_columns(
     _require_still(terms, names[own.shape[1] :], met)
     _require_other_modes(terms, events)
     e = ca.vertcat(ca.SX(0, 1), *(ca.SX(_sx(jump.restitution)) for _, jump in found))
-    return JumpColumns(met.names, moved, inside, L, c, S, e)
+    made = JumpColumns(met.names, moved, inside, L, c, S, e)
+    return _with_massless(terms, made, light, both[light, :]) if light else made
+
+
+def _with_massless(terms: Terms, made: JumpColumns, light: list[int], B: ca.SX) -> JumpColumns:
+    """The columns with those of the velocities `light` behind them; B: rows of the others in these."""
+    n, one = len(light), ca.SX.eye(len(light))
+    c = ca.SX(made.c)
+    c[0, :] += ca.mtimes(terms.model.x[light].T, B)  # its work is that of B_y [m, s] = 0
+    names = tuple(f"the velocity {terms.state_names[i]} without mass" for i in light)
+    return JumpColumns(
+        (*made.held, *names),
+        [*made.moved, *light],
+        made.components,
+        ca.diagcat(made.L, one),
+        ca.horzcat(c, ca.SX(c.shape[0], n)),
+        ca.blockcat([[made.S, B.T], [B, ca.SX(n, n)]]),
+        made.e,
+    )
 
 
 def _met(terms: Terms, own: ca.SX, all_held: Held) -> Held:

@@ -19,11 +19,13 @@ from phfmu.declare.variable import Value
 from phfmu.gradients.quadrature import Nodes
 from phfmu.plan.address import Address, costate_row, increment, own_costate, row
 from phfmu.plan.spec import Arguments, Spec
+from phfmu.terms.port_impulses import mass_values
 from phfmu.terms.rank import constraint_jacobian, null_vectors
 from phfmu.terms.term import CONSTRAINT, EMPTY, ENERGY, JOINT, MASS, Term, Terms
 from phfmu.terms.velocities import velocity_of
 
-LIGHT = 1e-6
+#: of bodies of robots whose published moments leave a direction nearly without mass, the smallest are some 4e-6
+LIGHT = 5e-6
 #: ratio of masses from which on constraint forces swing the lighter ones faster than steps that suit the heavier ones
 UNEVEN = 1e3
 #: ratio of masses from which on the rounding of forces moves the lighter ones
@@ -75,7 +77,7 @@ def _acted_on(terms: Terms, kept: Sequence[Term]) -> list[float]:
     velocity = velocity_of(terms)
     shifted = {velocity[q] for t in terms.of(CONSTRAINT) for q in t.index[Value.STATE] if q in velocity}
     unit = shifted - {t.rows[0].index for t in terms.of(MASS)} - set(terms.solved_costates())
-    values = _values(terms, [t for t in kept if t.rows[0].index in shifted]).values()
+    values = mass_values(terms, [t for t in kept if t.rows[0].index in shifted]).values()
     return [*values, *([1.0] if unit else [])]
 
 
@@ -126,7 +128,7 @@ def specs(term: Term, nd: Nodes) -> list[Spec]:
 
 def light_velocities(terms: Terms, shifted: list[int], mass: dict[int, Term]) -> set[int]:
     """The light ones of the velocities `shifted`; DeclarationError if a massless direction is not constrained."""
-    value = dict.fromkeys(shifted, 1.0) | _values(terms, list(mass.values()))
+    value = dict.fromkeys(shifted, 1.0) | mass_values(terms, list(mass.values()))
     names = [n for v in terms.model.states for n in v.names()]
     negative = [names[v] for v, m in value.items() if not m >= 0]
     if negative:
@@ -192,13 +194,3 @@ def _is_velocity(t: Term, p: NDArray[np.float64], rng: np.random.Generator) -> N
 
 def _parameters(terms: Terms) -> NDArray[np.float64]:
     return np.array([s for v in terms.model.parameters for s in v.start], float)
-
-
-def _values(terms: Terms, masses: list[Term]) -> dict[int, float]:
-    """State -> its mass at the start values of the parameters."""
-    p, known, out = _parameters(terms), {}, {}
-    for t in masses:
-        if t.key not in known:
-            known[t.key] = ca.Function("m", [t.symbols(Value.PARAMETER)], [t.data["m"]])
-        out[t.rows[0].index] = float(known[t.key](p[list(t.indices(Value.PARAMETER))]))
-    return out

@@ -12,9 +12,10 @@ from dataclasses import dataclass
 import casadi as ca
 
 from phfmu.terms.hidden import Check, Hidden, Level
-from phfmu.terms.port_impulses import masses
+from phfmu.terms.port_impulses import mass_values, masses
 from phfmu.terms.rows import block_matrix, check_rows, costate_symbols
-from phfmu.terms.term import MASS_BLOCK, Terms
+from phfmu.terms.term import MASS, MASS_BLOCK, Terms
+from phfmu.terms.velocities import velocity_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,3 +56,15 @@ def rates(terms: Terms, A: ca.SX) -> ca.SX:
         if A[where, :].nnz():
             out[where, :] = ca.solve(block_matrix(terms, t), ca.densify(A[where, :]))
     return out
+
+
+def massless(terms: Terms) -> list[int]:
+    """Velocities of positions with the mass 0, at the start values of the parameters."""
+    velocities = set(velocity_of(terms).values())
+    return sorted(i for i, m in mass_values(terms, terms.of(MASS)).items() if i in velocities and m == 0.0)
+
+
+def typical_mass(terms: Terms) -> float:
+    """The mean of the masses that are not 0, 1 where there are none."""
+    found = [m for m in mass_values(terms, terms.of(MASS)).values() if m > 0.0]
+    return sum(found) / len(found) if found else 1.0

@@ -11,7 +11,7 @@ L must not change along the shifts, (dL/dx) L = 0, for all ports of a model toge
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -24,7 +24,7 @@ from phfmu.terms.canonical import components
 from phfmu.terms.extract import extract
 from phfmu.terms.hidden import Hidden
 from phfmu.terms.rows import costate_symbols, costates, output_expressions, row_expressions
-from phfmu.terms.term import CLOSED, CONSTRAINT, ENERGY, JOINT, MASS, MASS_BLOCK, Terms
+from phfmu.terms.term import CLOSED, CONSTRAINT, ENERGY, JOINT, MASS, MASS_BLOCK, Term, Terms
 from phfmu.terms.velocities import velocity_of
 
 
@@ -175,6 +175,16 @@ def masses(terms: Terms) -> ca.SX:
         local, m = t.symbols(Value.PARAMETER), t.data["m"]
         at = t.rows[0].index
         out[at] = ca.substitute([m], [local], [p[list(t.index[Value.PARAMETER])]])[0] if local.numel() else m
+    return out
+
+
+def mass_values(terms: Terms, masses: Iterable[Term]) -> dict[int, float]:
+    """State -> its mass at the start values of the parameters, of some mass terms."""
+    p, known, out = [s for v in terms.model.parameters for s in v.start], {}, {}
+    for t in masses:
+        if t.key not in known:
+            known[t.key] = ca.Function("m", [t.symbols(Value.PARAMETER)], [t.data["m"]])
+        out[t.rows[0].index] = float(known[t.key]([p[i] for i in t.indices(Value.PARAMETER)]))
     return out
 
 

@@ -114,19 +114,8 @@ class Declaration:
             return on, ca.SX(self.parts.dim, 0)
         return on, ca.jacobian(rate(self.at, self.speed), ca.vertcat(*(v.sx for v in on)))
 
-    def _require_masses_at_contacts(self) -> None:
-        """ValueError for hard contacts beside points without mass: their impulses change velocities by m^-1."""
-        light = [p.called or f"particle {i + 1}" for i, p in enumerate(self.parts.masses) if not p.mass]
-        if light and self.parts.contacts:
-            raise ValueError(
-                f"{self.parts.name}: {self.parts.contacts[0].name} throws back by an impulse, and {light[0]} has no mass that "
-                "could take it (gears count turns by a point without mass); give the contact or the limits a compliance, or "
-                "leave out one of them"
-            )
-
     def phdae(self) -> PHDAE:
         parts = self.parts
-        self._require_masses_at_contacts()
         constraints, multipliers = self.constraints()
         structure = [skew(self.q, self.v, 1.0)]
         for p, w in self.w.items():

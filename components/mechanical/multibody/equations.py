@@ -12,6 +12,7 @@ import numpy as np
 from phfmu import PHDAE, Variable
 from phfmu.components.mechanical.multibody.body import Body, Spring
 from phfmu.components.mechanical.multibody.builder import Multibody
+from phfmu.components.mechanical.multibody.bushing import Bushing, Framed
 from phfmu.components.mechanical.multibody.contact import ContactPair, add_contact
 from phfmu.components.mechanical.multibody.coordinate import JointCoordinate
 from phfmu.components.mechanical.multibody.gear import Gear
@@ -41,7 +42,10 @@ class Observed:
 
 @dataclass
 class MechanismParts:
-    """Bodies, joints, springs and contacts of a mechanism in the order they were added; gravity [m/s2] has three entries."""
+    """Bodies, joints, springs, bushings and contacts of a mechanism in the order they were added.
+
+    gravity [m/s2] has three entries.
+    """
 
     name: str
     planar: bool
@@ -50,6 +54,7 @@ class MechanismParts:
     bodies: list[Body] = field(default_factory=list)
     joints: list[Joint] = field(default_factory=list)
     springs: list[Spring] = field(default_factory=list)
+    bushings: list[Bushing] = field(default_factory=list)
     contacts: list[ContactPair] = field(default_factory=list)
     gears: list[Gear] = field(default_factory=list)
     observed: list[Observed] = field(default_factory=list)
@@ -75,6 +80,8 @@ class Equations:
             self._joint(joint)
         for spring in self.given.springs:
             self._spring(spring)
+        for bushing in self.given.bushings:
+            self._bushing(bushing)
         for pair in self.given.contacts:
             add_contact(self, pair)
         for gear in self.given.gears:
@@ -287,11 +294,17 @@ class Equations:
                 f"{name}.distance", "m", lambda d: ca.norm_2(d.at(ends[1]) - d.at(ends[0])), f"length of {name}"
             )
 
+    def _bushing(self, bushing: Bushing) -> None:
+        one, other = JointSide(self, bushing, "a"), JointSide(self, bushing, "b")
+        bodies = [body for body in (bushing.a, bushing.b) if body is not None]
+        points = [p for body in bodies for p in self.particles[id(body)]]
+        Framed(self.made, bushing, (one.seen, other.seen), points).add(self.observe)
+
 
 class JointSide:
-    """Point and axes of a joint on one of its bodies; each becomes a parameter when it is first used."""
+    """Point and axes of a joint or bushing on one of its bodies; each becomes a parameter when it is first used."""
 
-    def __init__(self, equations: Equations, joint: Joint, side: str):
+    def __init__(self, equations: Equations, joint: Joint | Bushing, side: str):
         self.equations, self.joint, self.side = equations, joint, side
         self.body: Body | None = getattr(joint, side)
         self.points: dict[str, Combined] = {}

@@ -16,7 +16,8 @@ import numpy as np
 
 from phfmu import PHDAE
 from phfmu.components.mechanical.multibody.assembly import Assembly, require_closed, unallowed
-from phfmu.components.mechanical.multibody.body import Body, Spring, frame_along, tensor
+from phfmu.components.mechanical.multibody.body import Body, Spring, frame_along, rotation_about, tensor
+from phfmu.components.mechanical.multibody.bushing import Bushing
 from phfmu.components.mechanical.multibody.contact import Compliance, ContactPair, Limits
 from phfmu.components.mechanical.multibody.equations import Equations, MechanismParts, Observed
 from phfmu.components.mechanical.multibody.gear import Gear
@@ -228,6 +229,52 @@ class Mechanism:
         ends = [(body, self._point(f"spring '{name}'", place)) for body, place in (a, b)]
         self.parts.springs.append(Spring(name, ends[0], ends[1], float(stiffness), float(length), float(damping)))
 
+    def bushing(
+        self,
+        name: str,
+        a: Body | None,
+        b: Body | None,
+        *,
+        stiffness: Sequence[float],
+        damping: Sequence[float] = (),
+        hardening: Sequence[float] = (),
+        neutral: Sequence[float] = (),
+        at: Sequence[float] | None = None,
+        at_a: Sequence[float] | None = None,
+        at_b: Sequence[float] | None = None,
+        axis: Sequence[float] | None = None,
+        axis_b: Sequence[float] | None = None,
+        x_axis: Sequence[float] | None = None,
+    ) -> Bushing:
+        """Springs and dampers along and about the axes of a frame between a and b (None: the ground), without equations.
+
+        stiffness: 6 numbers k, along x, y, z [N/m] and about x, y, z [N.m/rad] of the frame on a; in the plane 3: along x, y and
+                   about z;  force k s, torque k phi;  entries of 0 leave a direction free
+        damping:   as many, on the rates [N.s/m, N.m.s/rad];  hardening: as many c, of a part c s^3 more [N/m3, N.m/rad3]
+        neutral:   displacement of b and its rotation vector [m, rad] seen from a where it is not loaded, 6 numbers, in the plane
+                   3;  a preload F is neutral = -F/k
+        places and axes: as of `joint`;  with `at` it is not loaded where the bodies are now
+        phi is the angle about an axis alone: the torque is k phi to 2e-6 up to 90 and 5e-4 up to 120 degrees, and falls to zero
+        at half a turn; what turns further is a joint with a `stiffness`.
+        Observables: NAME.displacement [m], NAME.rotation [rad] in the axes of a, NAME.force [N], NAME.torque [N.m] on b in
+                   the axes of the world, NAME.energy [J]
+        Errors:    ValueError names the bushing and the numbers
+        """
+        what = f"bushing '{name}'"
+        self._require_new(name)
+        if a is b or not all(body is None or body in self.bodies for body in (a, b)):
+            raise ValueError(f"{what}: it is between two bodies of {self.name}, or the ground and one")
+        k, d, c = (
+            self._along_and_about(f"{label} of {what}", given)
+            for label, given in (("stiffness", stiffness), ("damping", damping), ("hardening", hardening))
+        )
+        shift = self._along_and_about(f"neutral of {what}", neutral)
+        pa, pb, frame, other = self._placed(name, a, b, at, at_a, at_b, axis, axis_b, x_axis)
+        if angle := float(np.linalg.norm(shift[3:])):
+            other = other @ rotation_about(shift[3:], angle).T
+        self.parts.bushings.append(Bushing(name, a, b, pa, pb, frame, other, self.planar, k, d, c, shift[:3]))
+        return self.parts.bushings[-1]
+
     def contact(
         self,
         name: str,
@@ -366,7 +413,8 @@ class Mechanism:
 
     def _require_new(self, name: str) -> None:
         """ValueError for a name that another part has."""
-        if any(x.name == name for x in (*self.joints, *self.bodies, *self.parts.contacts, *self.parts.gears)):
+        p = self.parts
+        if any(x.name == name for x in (*p.joints, *p.bodies, *p.bushings, *p.contacts, *p.gears)):
             raise ValueError(f"{self.name}: there are two parts called '{name}'")
 
     def _point(self, what: str, values: Sequence[float] | None) -> np.ndarray:
@@ -375,6 +423,13 @@ class Mechanism:
             return np.zeros(3)
         n = 2 if self.planar and np.size(values) == 2 else 3
         return np.append(finite(what, values, n), np.zeros(3 - n))
+
+    def _along_and_about(self, what: str, values: Sequence[float]) -> np.ndarray:
+        """Six numbers along and about x, y, z, of 6 or, in the plane, of 3; none are zeros."""
+        if not np.size(values):
+            return np.zeros(6)
+        found = finite(what, values, 3 if self.planar else 6)
+        return np.array((*found[:2], 0.0, 0.0, 0.0, found[2])) if self.planar else found
 
     def _add(
         self, name: str, mass: float, com: np.ndarray, own: np.ndarray, directors: int, position: Any, rotation: Any,

@@ -26,17 +26,28 @@ static void columns(ph_landing *l, int n) {
     }
 }
 
-/* Row j of the factor of s; its pivot is 0 where it does not act or depends on those before it. */
+/* Sign of pivot j: -1 of the velocity of a direction without mass, whose diagonal is 0. */
+static double sign(const double *s, int n, int j) {
+    return s[j * n + j] == 0.0 ? -1.0 : 1.0;
+}
+
+/* Column j of F, s = F D F^T with the signs D; its pivot is 0 where it does not act or depends on those
+ * before. */
 static void factorise(const double *s, const signed char *acts, int n, int j, double *factor) {
-    double pivot = s[j * n + j];
-    for (int k = 0; k < j; k++)
-        pivot -= factor[j * n + k] * factor[j * n + k];
-    factor[j * n + j] = acts[j] && pivot > PH_JUMP_DEPENDENT * s[j * n + j] ? sqrt(pivot) : 0.0;
+    double pivot = s[j * n + j], size = pivot;
+    for (int k = 0; k < j; k++) {
+        const double square = factor[j * n + k] * factor[j * n + k];
+        pivot -= sign(s, n, k) * square;
+        if (s[j * n + j] == 0.0 && s[k * n + k] != 0.0)
+            size += square;
+    }
+    pivot *= sign(s, n, j);
+    factor[j * n + j] = acts[j] && pivot > PH_JUMP_DEPENDENT * size ? sqrt(pivot) : 0.0;
     for (int i = j + 1; i < n; i++) {
         double value = s[i * n + j];
         for (int k = 0; k < j; k++)
-            value -= factor[i * n + k] * factor[j * n + k];
-        factor[i * n + j] = factor[j * n + j] > 0.0 ? value / factor[j * n + j] : 0.0;
+            value -= sign(s, n, k) * factor[i * n + k] * factor[j * n + k];
+        factor[i * n + j] = factor[j * n + j] > 0.0 ? sign(s, n, j) * value / factor[j * n + j] : 0.0;
     }
 }
 
@@ -60,6 +71,7 @@ static int solve(ph_landing *l, int n, int strict) {
     }
     for (int j = n - 1; j >= 0; j--)
         if (factor[j * n + j] > 0.0) {
+            m[j] *= sign(s, n, j);
             for (int k = j + 1; k < n; k++)
                 m[j] -= factor[k * n + j] * m[k];
             m[j] /= factor[j * n + j];
