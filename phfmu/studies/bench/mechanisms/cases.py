@@ -1,0 +1,60 @@
+"""The mechanisms that are compared, with the settings of all methods."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from phfmu.declare.phdae import PHDAE
+from phfmu.studies.bench.mechanisms import described
+from phfmu.studies.bench.mechanisms.case import Case, Steps
+
+
+def chain_declared() -> PHDAE:
+    """Four boxes on balls and hinges in turn, from the library's parts."""
+    from phfmu.components.mechanical.multibody import Mechanism
+
+    m, last = Mechanism("chain_of_boxes"), None
+    for i in range(4):
+        mass, spin = 1.0 + 0.1 * i, (1.0, 0.0, 2.0)
+        moments = tuple(mass / 12 * (a * a + b * b) for a, b in ((0.1, 0.2), (1.0, 0.2), (1.0, 0.1)))
+        velocity = (0.0, 2.0 * (i + 0.5), 0.0)
+        box = m.body(f"box{i + 1}", mass, moments, position=(i + 0.5, 0.0, 0.0), velocity=velocity, angular_velocity=spin)
+        kind = ("spherical", "revolute")[i % 2]
+        m.joint(kind, f"joint{i + 1}", last, box, at=(float(i), 0.0, 0.0), axis=(0.0, 1.0, 0.0))
+        last = box
+    return m.build()
+
+
+def library(name: str) -> Callable[[], PHDAE]:
+    def declared() -> PHDAE:
+        from phfmu.components.library import build
+
+        return build(name)
+
+    return declared
+
+
+def positions(*names: str) -> tuple[str, ...]:
+    return tuple(f"{name}.position" for name in names)
+
+
+def chain() -> Case:
+    """Four boxes in space on balls and hinges, spinning; 1 s."""
+    steps = Steps(
+        {2: (0.01, 0.005, 0.002), 6: (0.05, 0.025, 0.0125, 0.01, 0.00625)},
+        mujoco=(0.01, 0.005, 0.002, 0.001, 0.0005),
+    )
+    boxes = positions(*(f"box{i + 1}" for i in range(4)))
+    return Case("chain of 4", chain_declared, boxes, 1.0, steps, described.chain())
+
+
+def ur5() -> Case:
+    """The arm UR5 falls from rest; 1 s."""
+    steps = Steps(
+        {2: (0.005, 0.002, 0.001), 6: (0.02, 0.01, 0.005, 0.0025)},
+        mujoco=(0.01, 0.005, 0.002, 0.001, 0.0005),
+    )
+    return Case("ur5", library("ur5"), ("forearm_link.position", "flange"), 1.0, steps, described.ur5())
+
+
+CASES: dict[str, Callable[[], Case]] = {"chain of 4": chain, "ur5": ur5}
