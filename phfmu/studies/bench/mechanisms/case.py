@@ -14,6 +14,7 @@ from phfmu.declare.variable import time
 from phfmu.network.scene import Scene
 from phfmu.studies.bench import own
 from phfmu.studies.bench.candidate import Candidate, Run, Solve
+from phfmu.studies.bench.compiled import Buffered, compiled
 from phfmu.studies.bench.mechanisms.assembly import Array, Assembly
 from phfmu.studies.bench.mechanisms.lagrange import Lagrange, lagrange_of
 from phfmu.studies.bench.problem import Judged, problem_of
@@ -97,8 +98,7 @@ class Case:
         if held:
             values = ca.vertcat(*(ca.DM(v.start) for v in held))
             points = ca.substitute(points, ca.veccat(*(v.sx for v in held)), ca.SX(values))
-        f = ca.Function("points", [time, ca.veccat(*(v.sx for v in d.states))], [points])
-        return lambda t, x: np.array(f(t, x)).ravel()
+        return Buffered(compiled(ca.Function("points", [time, ca.veccat(*(v.sx for v in d.states))], [ca.densify(points)])))
 
     def own(self) -> Iterator[Candidate]:
         """The schemes at each step, observed at the points."""

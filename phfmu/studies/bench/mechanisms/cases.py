@@ -42,19 +42,58 @@ def chain() -> Case:
     """Four boxes in space on balls and hinges, spinning; 1 s."""
     steps = Steps(
         {2: (0.01, 0.005, 0.002), 6: (0.05, 0.025, 0.0125, 0.01, 0.00625)},
-        mujoco=(0.01, 0.005, 0.002, 0.001, 0.0005),
-    )
+        mujoco=(0.01, 0.005, 0.002, 0.001, 0.0005), exudyn=(0.002, 0.001, 0.0005), exudyn_tree=(0.02, 0.01, 0.005),
+        tolerances=(1e-4, 1e-7, 1e-10),
+    )  # fmt: skip
     boxes = positions(*(f"box{i + 1}" for i in range(4)))
     return Case("chain of 4", chain_declared, boxes, 1.0, steps, described.chain())
+
+
+def slider_crank() -> Case:
+    """Crank, rod and piston; 1 s."""
+    steps = Steps(
+        {2: (0.005, 0.002, 0.001), 6: (0.02, 0.01, 0.005, 0.0025)},
+        mujoco=(0.002, 0.001, 0.0005), exudyn=(0.002, 0.001, 0.0005),
+    )  # fmt: skip
+    bodies = positions("crank", "rod", "piston")
+    return Case("slider-crank", library("slider_crank"), bodies, 1.0, steps, described.slider_crank())
+
+
+def bricard() -> Case:
+    """Bricard's linkage, one row too many; 2 s."""
+    steps = Steps(
+        {2: (0.01, 0.005, 0.002), 6: (0.1, 0.05, 0.025, 0.0125)},
+        mujoco=(0.002, 0.001, 0.0005), exudyn=(0.002, 0.001, 0.0005), opensim=(1e-5, 1e-7, 1e-9),
+    )  # fmt: skip
+    points = tuple(f"P{i + 1}" for i in range(4))
+    return Case("bricard", library("bricard"), points, 2.0, steps, described.bricard())
+
+
+def andrews() -> Case:
+    """Andrews' squeezer; 0.03 s, for which its solution is published."""
+    steps = Steps(
+        {2: (1e-4, 5e-5, 2e-5), 6: (3e-4, 2e-4, 1e-4, 5e-5)},
+        mujoco=(2e-5, 1e-5, 5e-6), exudyn=(5e-5, 2e-5, 1e-5), tolerances=(1e-4, 1e-6, 1e-8, 1e-10),
+        opensim=(1e-5, 1e-7, 1e-9),
+    )  # fmt: skip
+    bodies = positions("crank", "rod", "rocker", "arm5", "link4", "arm7", "link6")
+    return Case("andrews", library("andrews"), bodies, 0.03, steps, described.andrews())
 
 
 def ur5() -> Case:
     """The arm UR5 falls from rest; 1 s."""
     steps = Steps(
         {2: (0.005, 0.002, 0.001), 6: (0.02, 0.01, 0.005, 0.0025)},
-        mujoco=(0.01, 0.005, 0.002, 0.001, 0.0005),
-    )
+        mujoco=(0.01, 0.005, 0.002, 0.001, 0.0005), exudyn=(0.002, 0.001, 0.0005), exudyn_tree=(0.01, 0.005, 0.002),
+        tolerances=(1e-4, 1e-7, 1e-10),
+    )  # fmt: skip
     return Case("ur5", library("ur5"), ("forearm_link.position", "flange"), 1.0, steps, described.ur5())
 
 
-CASES: dict[str, Callable[[], Case]] = {"chain of 4": chain, "ur5": ur5}
+CASES: dict[str, Callable[[], Case]] = {
+    "chain of 4": chain,
+    "slider-crank": slider_crank,
+    "bricard": bricard,
+    "andrews": andrews,
+    "ur5": ur5,
+}
