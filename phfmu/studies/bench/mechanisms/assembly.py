@@ -30,6 +30,7 @@ class Link:
     """A joint of the bodies a and b at a point [m] with an axis, both of the world at the start.
 
     kind: revolute, spherical or prismatic;  damping [N.m.s/rad] of a revolute one;  torque [N.m] of a motor on b, about the axis
+    spare: one of its rows follows from those of the others, of which programs that want independent rows leave out a direction
     """
 
     kind: str
@@ -39,6 +40,7 @@ class Link:
     axis: Array
     damping: float = 0.0
     torque: float = 0.0
+    spare: bool = False
 
 
 @dataclass(frozen=True, eq=False)

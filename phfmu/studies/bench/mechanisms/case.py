@@ -32,6 +32,7 @@ class Steps:
     exudyn: tuple[float, ...] = ()
     exudyn_tree: tuple[float, ...] = ()
     tolerances: tuple[float, ...] = ()
+    ida: tuple[float, ...] = ()
     opensim: tuple[float, ...] = ()
 
 

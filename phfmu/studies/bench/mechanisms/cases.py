@@ -73,11 +73,17 @@ def andrews() -> Case:
     """Andrews' squeezer; 0.03 s, for which its solution is published."""
     steps = Steps(
         {2: (1e-4, 5e-5, 2e-5), 6: (3e-4, 2e-4, 1e-4, 5e-5)},
-        mujoco=(2e-5, 1e-5, 5e-6), exudyn=(5e-5, 2e-5, 1e-5), tolerances=(1e-4, 1e-6, 1e-8, 1e-10),
+        mujoco=(2e-5, 1e-5, 5e-6), exudyn=(5e-5, 2e-5, 1e-5), ida=(1e-4, 1e-6, 1e-8, 1e-10),
         opensim=(1e-5, 1e-7, 1e-9),
     )  # fmt: skip
     bodies = positions("crank", "rod", "rocker", "arm5", "link4", "arm7", "link6")
     return Case("andrews", library("andrews"), bodies, 0.03, steps, described.andrews())
+
+
+def car_axis() -> Case:
+    """The car axis over its road; 3 s, for which its solution is published; lengths without unit."""
+    steps = Steps({2: (5e-3, 2e-3, 1e-3), 6: (2e-2, 1e-2, 5e-3, 2.5e-3)}, ida=(1e-4, 1e-6, 1e-8, 1e-10))
+    return Case("car axis", library("car_axis"), ("left", "right"), 3.0, steps, lagrange=described.car_axis())
 
 
 def ur5() -> Case:
@@ -95,5 +101,6 @@ CASES: dict[str, Callable[[], Case]] = {
     "slider-crank": slider_crank,
     "bricard": bricard,
     "andrews": andrews,
+    "car axis": car_axis,
     "ur5": ur5,
 }

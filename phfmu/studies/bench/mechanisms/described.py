@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from math import asin, cos, sin
 
+import casadi as ca
 import numpy as np
 
 from phfmu.studies.bench.mechanisms.assembly import (
@@ -17,6 +18,7 @@ from phfmu.studies.bench.mechanisms.assembly import (
     turned,
     vector,
 )
+from phfmu.studies.bench.mechanisms.lagrange import Lagrange
 
 Z = vector(0.0, 0.0, 1.0)
 DOWN = vector(0.0, 0.0, -9.81)
@@ -67,7 +69,7 @@ def bricard() -> Assembly:
         along = b - a
         rods.append(at_rest(1.0, (a + b) / 2, (np.eye(3) - np.outer(along, along)) / 12))
     links = [Link("revolute", i - 1, i, corners[i], axes[i]) for i in range(5)]
-    links.append(Link("revolute", 4, GROUND, corners[5], axes[5]))
+    links.append(Link("revolute", 4, GROUND, corners[5], axes[5], spare=True))
     points = tuple((i, corners[i + 1]) for i in range(4))
     return Assembly(vector(0.0, -9.81, 0.0), tuple(rods), tuple(links), points)
 
@@ -177,3 +179,15 @@ def flyball() -> Assembly:
 def _plane(moment: float) -> Array:
     """The inertia of a body that moves in the plane; the moments about axes in it do no work there."""
     return np.diag((moment, moment, moment))
+
+
+def car_axis(epsilon: float = 1e-2) -> Lagrange:
+    """The published equations in the positions of the two bodies, the wheels given by the road; no rigid bodies."""
+    m, t, p, v = 0.5 * epsilon**2 * 10.0, ca.SX.sym("t"), ca.SX.sym("p", 4), ca.SX.sym("v", 4)
+    y = 0.1 * ca.sin(10.0 * t)
+    wheel, left, right = ca.vertcat(ca.sqrt(1 - y**2), y), p[:2], p[2:]
+    stretch = ((ca.norm_2(left) - 0.5) ** 2, (ca.norm_2(right - wheel) - 0.5) ** 2)
+    potential = 0.5 * sum(stretch, ca.SX(0)) + m * (left[1] + right[1])
+    rows = ca.vertcat(ca.dot(left, wheel), ca.sumsqr(right - left) - 1.0)
+    starts = vector(0.0, 0.5, 1.0, 0.5), vector(-0.5, 0.0, -0.5, 0.0)
+    return Lagrange(t, p, v, 0.5 * m * ca.sumsqr(v), potential, ca.SX.zeros(4), rows, p, *starts)

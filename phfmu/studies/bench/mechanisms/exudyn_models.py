@@ -62,7 +62,6 @@ def _bodies(case: Case, trapezoidal: bool, h: float) -> Exudyn:
     made = _Bodies(lib, assembly)
     settings = fixed_steps(lib, case.stop, h)
     implicit(settings, lib, trapezoidal, made.unknowns, True)
-    settings.linearSolver.ignoreSingularJacobian = True
     return Exudyn(case, made.mbs, made, made.places, settings, lib.MainSolverImplicitSecondOrder())
 
 
@@ -88,7 +87,7 @@ class _Bodies:
             self._join(link)
         for s in assembly.struts:
             self.mbs.CreateSpringDamper(
-                bodyNumbers=[self._numbers[s.a], self._numbers[s.b]], localPosition0=self._local(s.a, s.at_a),
+                itemNumbers=[self._numbers[s.a], self._numbers[s.b]], localPosition0=self._local(s.a, s.at_a),
                 localPosition1=self._local(s.b, s.at_b), referenceLength=s.length, stiffness=s.stiffness, damping=s.damping,
             )  # fmt: skip
         self.mbs.Assemble()
@@ -101,16 +100,21 @@ class _Bodies:
         if self._assembly.planar:
             self._join_in_plane(link, pair)
         elif link.kind == "spherical":
-            self.mbs.CreateSphericalJoint(bodyNumbers=pair, position=link.at.tolist())
+            self.mbs.CreateSphericalJoint(itemNumbers=pair, position=link.at.tolist())
+        elif link.spare:
+            rows, frame = [1, 1, 1, 1, 0, 0], _along(link.axis)
+            self.mbs.CreateGenericJoint(
+                itemNumbers=pair, position=link.at.tolist(), rotationMatrixAxes=frame, constrainedAxes=rows
+            )
         else:
             create = self.mbs.CreateRevoluteJoint if link.kind == "revolute" else self.mbs.CreatePrismaticJoint
-            create(bodyNumbers=pair, position=link.at.tolist(), axis=link.axis.tolist())
+            create(itemNumbers=pair, position=link.at.tolist(), axis=link.axis.tolist())
         if link.damping:
             self.mbs.CreateTorsionalSpringDamper(
-                bodyNumbers=pair, position=link.at.tolist(), axis=link.axis.tolist(), damping=link.damping
+                itemNumbers=pair, position=link.at.tolist(), axis=link.axis.tolist(), damping=link.damping
             )
         if link.torque:
-            self.mbs.CreateTorque(bodyNumber=pair[1], loadVector=(link.torque * link.axis).tolist())
+            self.mbs.CreateTorque(itemNumber=pair[1], loadVector=(link.torque * link.axis).tolist())
 
     def _join_in_plane(self, link: Link, pair: list[Any]) -> None:
         markers = [

@@ -64,27 +64,30 @@ class Lagrange:
         """dg/dt."""
         return self.slope @ self.v + ca.jacobian(self.g, self.t)
 
-    def solve(self, times: Sequence[float], rtol: float) -> Array:
-        """The points at the times, by DOP853 with the multipliers solved by least squares: redundant rows are taken."""
-        from scipy.integrate import solve_ivp
-
-        row = self.velocity_row
+    @cached_property
+    def accelerations(self) -> Callable[[float, Array, Array], tuple[Array, Array]]:
+        """(t, p, v) -> v' and lambda, by least squares where rows are redundant."""
+        row, n, m, redundant = self.velocity_row, self.n, self.g.numel(), self.redundant
         drift = ca.jtimes(row, self.p, self.v) + ca.jacobian(row, self.t)
-        parts = [self.mass, self.right, self.slope, drift]
-        sizes = [(self.n, self.n), (self.n,), (self.g.numel(), self.n), (self.g.numel(),)]
-        f = Buffered(compiled(ca.Function("rates", [self.t, self.p, self.v], [ca.densify(ca.veccat(*parts))])))
-        cuts, redundant = np.cumsum([int(np.prod(s)) for s in sizes])[:-1], self.redundant
+        matrix = ca.vertcat(ca.horzcat(self.mass, self.slope.T), ca.horzcat(self.slope, ca.SX(m, m)))
+        sides = ca.densify(ca.horzcat(matrix, ca.vertcat(self.right, -drift)))
+        f = Buffered(compiled(ca.Function("rates", [self.t, self.p, self.v], [sides])))
+
+        def solved(t: float, p: Array, v: Array) -> tuple[Array, Array]:
+            made = f(t, p, v).reshape(n + m, n + m + 1, order="F")
+            a, b = made[:, :-1], made[:, -1]
+            found = np.linalg.lstsq(a, b, rcond=1e-9)[0] if redundant else np.linalg.solve(a, b)
+            return found[:n], found[n:]
+
+        return solved
+
+    def solve(self, times: Sequence[float], rtol: float) -> Array:
+        """The points at the times, by DOP853."""
+        from scipy.integrate import solve_ivp
 
         def rate(t: float, y: Array) -> Array:
             p, v = np.split(y, 2)
-            values = np.split(f(t, p, v), cuts)
-            mass, right, slope, d = (a.reshape(s, order="F") for a, s in zip(values, sizes, strict=True))
-            if not len(d):
-                return np.append(v, np.linalg.solve(mass, right))
-            matrix = np.block([[mass, slope.T], [slope, np.zeros((len(d), len(d)))]])
-            sides = np.append(right, -d)
-            found = np.linalg.lstsq(matrix, sides, rcond=1e-9)[0] if redundant else np.linalg.solve(matrix, sides)
-            return np.append(v, found[: self.n])
+            return np.append(v, self.accelerations(t, p, v)[0])
 
         s = solve_ivp(
             rate, (0.0, max(times)), np.append(self.p0, self.v0), "DOP853", sorted(times), rtol=rtol, atol=1e-2 * rtol
@@ -102,8 +105,7 @@ class Lagrange:
     @cached_property
     def place(self) -> Callable[[float, Array], Array]:
         """(t, p) -> points, flat."""
-        f = ca.Function("points", [self.t, self.p], [self.points])
-        return lambda t, p: np.array(f(t, p)).ravel()
+        return Buffered(compiled(ca.Function("places", [self.t, self.p], [ca.densify(self.points)])))
 
     def reference(self, times: Sequence[float]) -> tuple[Array, float]:
         """The points at the times, and their distance from the solution at the tolerance before."""

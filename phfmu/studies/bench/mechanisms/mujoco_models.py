@@ -18,6 +18,8 @@ from phfmu.studies.bench.candidate import Candidate, Run, missing
 from phfmu.studies.bench.mechanisms.assembly import GROUND, Array, Assembly, Link
 from phfmu.studies.bench.mechanisms.case import Case
 
+#: moment [kg.m2] that thin rods and point masses get, which MuJoCo wants positive
+LEAST = 1e-12
 KINDS = {"revolute": "hinge", "spherical": "ball", "prismatic": "slide"}
 
 
@@ -55,7 +57,7 @@ def _bodies(assembly: Assembly, parent: int, origin: Array, sites: dict[int, str
         if link.a != parent:
             continue
         b, i = assembly.bodies[link.b], link.b
-        inertia = b.inertia if b.inertia.any() else 1e-12 * np.eye(3)
+        inertia = b.inertia if np.linalg.eigvalsh(b.inertia)[0] > LEAST else b.inertia + LEAST * np.eye(3)
         six = inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
         damping = f' damping="{link.damping!r}"' if link.damping else ""
         out += (
