@@ -42,6 +42,7 @@ MAKERS = {
     "multibody_peers": ("multibody_peers", "multibody_peers_equal"),
     "singular_mass": ("mass_spring_orders",),
     "networks": ("couplings",),
+    "grid_peers": ("grid_peers", "grid_peers_equal", "grid_peers_steps"),
     "grids": (
         "grid_power_flows",
         "grid_steady",

@@ -12,7 +12,7 @@ from pages import DOCS, Made, table
 
 from phfmu.studies.bench import machine
 from phfmu.studies.bench.candidate import Candidate
-from phfmu.studies.bench.mechanisms import exudyn_models, ida, mujoco_models
+from phfmu.studies.bench.mechanisms import exudyn_models, ida, mujoco_models, opensim_models
 from phfmu.studies.bench.mechanisms.case import Case
 from phfmu.studies.bench.mechanisms.cases import CASES
 from phfmu.studies.bench.report import draw_lines
@@ -34,7 +34,7 @@ COLUMNS = {
 
 def candidates(case: Case) -> Iterator[Candidate]:
     yield from case.own()
-    for peer in (mujoco_models, exudyn_models, ida):
+    for peer in (mujoco_models, exudyn_models, ida, opensim_models):
         yield from peer.candidates(case)
 
 

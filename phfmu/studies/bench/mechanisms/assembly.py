@@ -115,3 +115,11 @@ def cross_matrix(x: Sequence[float] | Array) -> Array:
 
 def at_rest(mass: float, centre: Array, inertia: Array) -> Rigid:
     return Rigid(mass, centre, inertia, np.zeros(3), np.zeros(3))
+
+
+def frame_along(axis: Array) -> Array:
+    """A frame with the axis for z."""
+    first = np.eye(3)[int(np.argmin(np.abs(axis)))]
+    x = np.cross(first, axis)
+    x /= np.linalg.norm(x)
+    return np.column_stack((x, np.cross(axis, x), axis))

@@ -96,6 +96,26 @@ def ur5() -> Case:
     return Case("ur5", library("ur5"), ("forearm_link.position", "flange"), 1.0, steps, described.ur5())
 
 
+def pendulum() -> Case:
+    """A point mass on a bar; 10 s."""
+    steps = Steps({2: (0.02, 0.005, 0.002), 6: (0.1, 0.05, 0.025, 0.0125)}, opensim=(1e-5, 1e-7, 1e-9))
+    return Case("pendulum", library("pendulum"), ("P",), 10.0, steps, described.pendulum())
+
+
+def four_bar() -> Case:
+    """Two four-bar windows through their flat positions; 5 s."""
+    steps = Steps({2: (0.01, 0.005, 0.002), 6: (0.05, 0.025, 0.0125)}, opensim=(1e-5, 1e-7, 1e-9))
+    return Case(
+        "four-bar", library("four_bar"), ("B0",), 5.0, steps, described.four_bar(), described.parallel_cranks()
+    )
+
+
+def flyball() -> Case:
+    """The stiff governor; 0.2 s."""
+    steps = Steps({2: (2e-3, 1e-3, 5e-4), 6: (1e-2, 5e-3, 2e-3)}, opensim=(1e-5, 1e-7, 1e-9))
+    return Case("flyball", library("flyball"), positions("slider"), 0.2, steps, described.flyball())
+
+
 CASES: dict[str, Callable[[], Case]] = {
     "chain of 4": chain,
     "slider-crank": slider_crank,
@@ -103,4 +123,7 @@ CASES: dict[str, Callable[[], Case]] = {
     "andrews": andrews,
     "car axis": car_axis,
     "ur5": ur5,
+    "pendulum": pendulum,
+    "four-bar": four_bar,
+    "flyball": flyball,
 }

@@ -191,3 +191,12 @@ def car_axis(epsilon: float = 1e-2) -> Lagrange:
     rows = ca.vertcat(ca.dot(left, wheel), ca.sumsqr(right - left) - 1.0)
     starts = vector(0.0, 0.5, 1.0, 0.5), vector(-0.5, 0.0, -0.5, 0.0)
     return Lagrange(t, p, v, 0.5 * m * ca.sumsqr(v), potential, ca.SX.zeros(4), rows, p, *starts)
+
+
+def parallel_cranks(n: int = 2) -> Lagrange:
+    """The angle of all cranks of n four-bar windows from the vertical, which pass their flat positions like one pendulum."""
+    p, v, t = ca.SX.sym("p", 1), ca.SX.sym("v", 1), ca.SX.sym("t")
+    kinetic = 0.5 * ((n + 1) / 3 + n) * v**2
+    potential = 9.81 * ((n + 1) / 2 + n) * ca.cos(p)
+    upper = ca.vertcat(ca.sin(p), ca.cos(p), 0)
+    return Lagrange(t, p, v, kinetic, potential, ca.SX.zeros(1), ca.SX(0, 1), upper, vector(0.0), vector(1.0))

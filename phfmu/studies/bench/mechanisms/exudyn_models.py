@@ -16,7 +16,7 @@ import numpy as np
 
 from phfmu.studies.bench.candidate import Candidate, Run, missing
 from phfmu.studies.bench.exudyn_particles import fixed_steps, implicit, library, obstacle
-from phfmu.studies.bench.mechanisms.assembly import GROUND, Array, Assembly, Link
+from phfmu.studies.bench.mechanisms.assembly import GROUND, Array, Assembly, Link, frame_along
 from phfmu.studies.bench.mechanisms.case import Case
 
 
@@ -102,7 +102,7 @@ class _Bodies:
         elif link.kind == "spherical":
             self.mbs.CreateSphericalJoint(itemNumbers=pair, position=link.at.tolist())
         elif link.spare:
-            rows, frame = [1, 1, 1, 1, 0, 0], _along(link.axis)
+            rows, frame = [1, 1, 1, 1, 0, 0], frame_along(link.axis)
             self.mbs.CreateGenericJoint(
                 itemNumbers=pair, position=link.at.tolist(), rotationMatrixAxes=frame, constrainedAxes=rows
             )
@@ -168,7 +168,7 @@ class _Tree:
             for last, axis in ((k == len(axes) - 1, x) for k, x in enumerate(axes)):
                 before, origin = frames[link.a] if number.get(link.b) is None else frames[link.b]
                 parent = number.get(link.b, number[link.a])
-                own = _along(axis)
+                own = frame_along(axis)
                 transform = np.eye(4)
                 transform[:3, :3], transform[:3, 3] = before.T @ own, before.T @ (link.at - origin)
                 inertia = utilities.RigidBodyInertia(
@@ -198,11 +198,3 @@ class _Tree:
 
     def places(self) -> list[Array]:
         return [np.array(self.mbs.GetSensorValues(s)) for s in self._sensors]
-
-
-def _along(axis: Array) -> Array:
-    """A frame with the axis for z."""
-    first = np.eye(3)[int(np.argmin(np.abs(axis)))]
-    x = np.cross(first, axis)
-    x /= np.linalg.norm(x)
-    return np.column_stack((x, np.cross(axis, x), axis))

@@ -74,19 +74,24 @@ def origins(assembly: Assembly) -> dict[int, Array]:
     return {GROUND: np.zeros(3), **{link.b: link.at for link in assembly.tree}}
 
 
+def anchors(assembly: Assembly, link: Link) -> list[Array]:
+    """The points that hold a loop together: one of a ball, or in the plane; two along the axis of a hinge in space."""
+    along = (0.0,) if assembly.planar or link.kind == "spherical" else (-0.5, 0.5)
+    return [link.at + s * link.axis for s in along]
+
+
 def _equality(assembly: Assembly, link: Link, h: float) -> str:
-    """A loop: one point held for a spherical one, or in the plane; two points along the axis for a hinge in space."""
+    """A loop as soft constraints of its anchors."""
     where = origins(assembly)
     first, second = (("world" if i == GROUND else f"b{i}") for i in (link.a, link.b))
     if link.a == GROUND:
         first, second, base = second, first, where[link.b]
     else:
         base = where[link.a]
-    along = (0.0,) if assembly.planar or link.kind == "spherical" else (-0.5, 0.5)
     soft = f'solref="{2 * h!r} 1" solimp="0.9999 0.9999 0.001"'
     return "".join(
-        f'<connect body1="{first}" body2="{second}" anchor="{_words(link.at + s * link.axis - base)}" {soft}/>'
-        for s in along
+        f'<connect body1="{first}" body2="{second}" anchor="{_words(at - base)}" {soft}/>'
+        for at in anchors(assembly, link)
     )
 
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from phfmu.discretise.model import Model
 from phfmu.network.network import Network
 from phfmu.studies.bench.candidate import Candidate, Run, Solve, missing
 from phfmu.studies.bench.power import circuit, dpsim, own
@@ -27,7 +28,7 @@ class GridCase:
     """A network as DPsim takes it and as it is declared; rows at multiples of EVERY are judged against a reference.
 
     columns: of our run, whose values relative to `scale` are compared;  models: of DPsim with their steps [s]
-    read: rows of DPsim -> the same quantities;  own_reference: each tool is compared with itself at a short step
+    read: rows of DPsim -> the same quantities in units of `unit`
     """
 
     name: str
@@ -40,6 +41,7 @@ class GridCase:
     read: Callable[[str, Array], Array]
     reference: Array
     scale: float
+    unit: Array | float = 1.0
 
     @property
     def stop(self) -> float:
@@ -65,7 +67,7 @@ class GridCase:
             for h in steps:
                 yield Candidate(
                     f"phfmu, order {order}", f"h={1e6 * h:g} us", h,
-                    lambda m=model, h=h: own.Stepped(m, self.columns, h, self.net, EVERY), own=True,
+                    lambda m=model, h=h: self._own(m, h), own=True,
                 )  # fmt: skip
         if why := dpsim.obstacle():
             yield missing("DPsim", why)
@@ -73,6 +75,15 @@ class GridCase:
         for model, steps in self.models.items():
             for h in steps:
                 yield Candidate(f"DPsim {model}", f"h={1e6 * h:g} us", h, lambda m=model, h=h: self._dpsim(m, h))
+
+    def _own(self, model: Model, h: float) -> Solve:
+        solve = own.Stepped(model, self.columns, h, self.net, EVERY)
+
+        def read(times: Sequence[float], watch: bool = False) -> Run:
+            run = solve(times, watch)
+            return replace(run, x=run.x / self.unit) if watch else run
+
+        return read
 
     def _dpsim(self, model: str, h: float) -> Solve:
         net = self.net | {"model": model}
@@ -116,4 +127,42 @@ def clears() -> GridCase:
     return smib(CLEARS, "smib, fault clears")
 
 
-CASES: dict[str, Callable[[], GridCase]] = {"smib, fault stays": stays, "smib, fault clears": clears}
+def speeds(model: str, rows: Array) -> Array:
+    """Speeds of the three machines in per unit from EVERY on."""
+    return rows[:, -3:] if len(rows) else rows
+
+
+def nine_buses(t_clear: float, name: str) -> GridCase:
+    """Three machines; speeds relative to the largest deviation, against order 6 in steps of 20 us.
+
+    DPsim's machines are of order 4, without dampers of their own and without transients of the stator: its distance is that of
+    the models.
+    """
+    net = dpsim.nine_buses(t_clear, NINE_STOP)
+    columns = tuple(f"gen{k}.p" for k in (1, 2, 3))
+    declared = own.nine_buses()
+    model = own.planned(declared, 6)
+    momenta = own.Stepped(model, columns, 20 * US, net, EVERY)([NINE_STOP], watch=True).x
+    at_start = np.array([own.start_of(model, n) for n in columns])
+    exact = momenta / at_start
+    steps = {2: (200 * US, 100 * US, 50 * US), 4: (500 * US, 200 * US, 50 * US)}
+    models = {dpsim.FOURTH: (500 * US, 200 * US, 50 * US)}
+    return GridCase(
+        name, own.nine_buses, net, columns, ("speed",), steps, models, speeds, exact, float(np.abs(exact - 1).max()), at_start
+    )
+
+
+def nine_stay() -> GridCase:
+    return nine_buses(NINE_STOP, "wscc9, fault stays")
+
+
+def nine_clear() -> GridCase:
+    return nine_buses(CLEARS, "wscc9, fault clears")
+
+
+CASES: dict[str, Callable[[], GridCase]] = {
+    "smib, fault stays": stays,
+    "smib, fault clears": clears,
+    "wscc9, fault stays": nine_stay,
+    "wscc9, fault clears": nine_clear,
+}

@@ -121,3 +121,8 @@ def planned(network: Network, order: int) -> Model:
     from phfmu.schemes.collocated import Collocated
 
     return build_model(network.compose(), Collocated(order // 2))
+
+
+def start_of(model: Model, name: str) -> float:
+    """The start value of a scalar state."""
+    return next(v.start[0] for v in model.declaration.states if v.name == name)
