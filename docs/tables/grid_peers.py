@@ -28,7 +28,7 @@ def measured() -> tuple[dict[str, tuple[GridCase, Table]], str]:
     for name, made in CASES.items():
         print(f"{name}: reference", file=sys.stderr, flush=True)
         case = made()
-        result = measure(case, case.candidates(), TURNS)
+        result = measure(case, case.candidates(), TURNS, lambda said: print(said, file=sys.stderr, flush=True))
         for said in result.remarks:
             print(f"{name}: {said}", file=sys.stderr, flush=True)
         found[name] = (case, result)
@@ -65,7 +65,9 @@ def grid_peers_equal() -> Made:
         for level in LEVELS:
             own, peer = (_cheapest(result, level, mine) for mine in (True, False))
             ratio = f"{peer / own:.2g}" if own and peer else ""
-            rows.append([name, f"{level:.0e}", *("not reached" if c is None else f"{1e3 * c:.3g}" for c in (own, peer)), ratio])
+            rows.append(
+                [name, f"{level:.0e}", *("not reached" if c is None else f"{1e3 * c:.3g}" for c in (own, peer)), ratio]
+            )
     return table(["circuit", "error", "phfmu, ms/s", "DPsim, ms/s", "DPsim / phfmu"], rows)
 
 

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
 
-from pages import DOCS, Made, table
+from pages import DOCS, Made, nothing, table
 
 from phfmu.studies.bench import machine
 from phfmu.studies.bench.candidate import Candidate
 from phfmu.studies.bench.mechanisms import exudyn_models, ida, mujoco_models, opensim_models
 from phfmu.studies.bench.mechanisms.case import Case
-from phfmu.studies.bench.mechanisms.cases import CASES
+from phfmu.studies.bench.mechanisms.cases import CASES, IFTOMM
 from phfmu.studies.bench.report import draw_lines
 from phfmu.studies.bench.work_precision import Row, Table, cost_at, measure
 
@@ -28,25 +28,22 @@ COLUMNS = {
     "exudyn, constraints": ("exudyn generalized", "exudyn trapezoidal"),
     "exudyn, tree": ("exudyn tree",),
     "SUNDIALS IDA": ("SUNDIALS",),
-    "OpenSim": ("OpenSim",),
 }
 
 
-def candidates(case: Case) -> Iterator[Candidate]:
-    yield from case.own()
-    for peer in (mujoco_models, exudyn_models, ida, opensim_models):
-        yield from peer.candidates(case)
+Peers = tuple[Callable[[Case], Iterator[Candidate]], ...]
+PROGRAMS: Peers = (mujoco_models.candidates, exudyn_models.candidates, ida.candidates)
 
 
 @cache
-def measured() -> tuple[dict[str, tuple[Case, Table]], str]:
+def measured(iftomm: bool = False) -> tuple[dict[str, tuple[Case, Table]], str]:
     """All cases, each with its methods in turns; the machine with its load."""
-    before, found = machine.load(), {}
-    for name, made in CASES.items():
+    before, found, peers = machine.load(), {}, (opensim_models.candidates,) if iftomm else PROGRAMS
+    for name, made in (IFTOMM if iftomm else CASES).items():
         case = made()
         print(f"{name}: reference", file=sys.stderr, flush=True)
         case.solve_reference()
-        result = measure(case, candidates(case), TURNS)
+        result = measure(case, [*case.own(), *(c for peer in peers for c in peer(case))], TURNS)
         for said in result.remarks:
             print(f"{name}: {said}", file=sys.stderr, flush=True)
         found[name] = (case, result)
@@ -56,7 +53,16 @@ def measured() -> tuple[dict[str, tuple[Case, Table]], str]:
 
 def multibody_peers() -> Made:
     """Errors of positions and CPU time of all methods and settings, the first table of the page, and its picture."""
-    found, about = measured()
+    return _rows(False, _draw)
+
+
+def multibody_peers_iftomm() -> Made:
+    """The problems A01 to A05 of the IFToMM's library beside OpenSim."""
+    return _rows(True)
+
+
+def _rows(iftomm: bool, draw: Callable[[], Sequence[Path]] = nothing) -> Made:
+    found, about = measured(iftomm)
     rows = [
         [name, r.method, r.setting, f"{1e3 * r.cpu:.3g}", r.judged.errors[0]]
         for name, (_, result) in found.items()
@@ -66,7 +72,7 @@ def multibody_peers() -> Made:
     sure = ", ".join(f"{name} {case.uncertainty:.0e}" for name, (case, _) in found.items())
     notes = (*said, f"distance of the references at relative tolerances of 1e-12 and 1e-13: {sure}", about)
     head = ["mechanism", "method", "setting", "ms/s", "error, m"]
-    return table(head, rows, ".1e", notes=(*notes, machine.versions()), draw=_draw)
+    return table(head, rows, ".1e", notes=(*notes, machine.versions()), draw=draw)
 
 
 def _cost(rows: Sequence[Row], level: float) -> float | None:

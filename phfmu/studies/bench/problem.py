@@ -45,7 +45,7 @@ class Judged:
 
 
 class Compared(Protocol):
-    """What solutions are measured on: times of comparison and the stop time [s] together are the grid; `judged`: what errors are of."""
+    """What is measured: `grid` holds the times of comparison and the stop time [s], `judged` names what errors are of."""
 
     @property
     def name(self) -> str: ...

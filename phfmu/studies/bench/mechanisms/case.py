@@ -99,7 +99,9 @@ class Case:
         if held:
             values = ca.vertcat(*(ca.DM(v.start) for v in held))
             points = ca.substitute(points, ca.veccat(*(v.sx for v in held)), ca.SX(values))
-        return Buffered(compiled(ca.Function("points", [time, ca.veccat(*(v.sx for v in d.states))], [ca.densify(points)])))
+        return Buffered(
+            compiled(ca.Function("points", [time, ca.veccat(*(v.sx for v in d.states))], [ca.densify(points)]))
+        )
 
     def own(self) -> Iterator[Candidate]:
         """The schemes at each step, observed at the points."""

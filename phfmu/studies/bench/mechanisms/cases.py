@@ -18,7 +18,9 @@ def chain_declared() -> PHDAE:
         mass, spin = 1.0 + 0.1 * i, (1.0, 0.0, 2.0)
         moments = tuple(mass / 12 * (a * a + b * b) for a, b in ((0.1, 0.2), (1.0, 0.2), (1.0, 0.1)))
         velocity = (0.0, 2.0 * (i + 0.5), 0.0)
-        box = m.body(f"box{i + 1}", mass, moments, position=(i + 0.5, 0.0, 0.0), velocity=velocity, angular_velocity=spin)
+        box = m.body(
+            f"box{i + 1}", mass, moments, position=(i + 0.5, 0.0, 0.0), velocity=velocity, angular_velocity=spin
+        )
         kind = ("spherical", "revolute")[i % 2]
         m.joint(kind, f"joint{i + 1}", last, box, at=(float(i), 0.0, 0.0), axis=(0.0, 1.0, 0.0))
         last = box
@@ -105,9 +107,7 @@ def pendulum() -> Case:
 def four_bar() -> Case:
     """Two four-bar windows through their flat positions; 5 s."""
     steps = Steps({2: (0.01, 0.005, 0.002), 6: (0.05, 0.025, 0.0125)}, opensim=(1e-5, 1e-7, 1e-9))
-    return Case(
-        "four-bar", library("four_bar"), ("B0",), 5.0, steps, described.four_bar(), described.parallel_cranks()
-    )
+    return Case("four-bar", library("four_bar"), ("B0",), 5.0, steps, described.four_bar(), described.parallel_cranks())
 
 
 def flyball() -> Case:
@@ -123,7 +123,12 @@ CASES: dict[str, Callable[[], Case]] = {
     "andrews": andrews,
     "car axis": car_axis,
     "ur5": ur5,
-    "pendulum": pendulum,
-    "four-bar": four_bar,
-    "flyball": flyball,
+}
+#: the library of multibody problems of the IFToMM
+IFTOMM: dict[str, Callable[[], Case]] = {
+    "A01 pendulum": pendulum,
+    "A02 four-bar": four_bar,
+    "A03 andrews": andrews,
+    "A04 bricard": bricard,
+    "A05 flyball": flyball,
 }

@@ -115,7 +115,7 @@ class Lagrange:
 
 @dataclass(frozen=True, eq=False)
 class _Pose:
-    """Rotation from the pose of the start, and where the point at the world's place x of the start is: turn (x - origin) + place."""
+    """Rotation from the pose of the start, and a point x of the start now: turn (x - origin) + place."""
 
     turn: ca.SX
     origin: Array

@@ -28,7 +28,9 @@ def candidates(case: Case) -> Iterator[Candidate]:
         return
     python = os.environ.get(VARIABLE)
     if not python:
-        yield missing("OpenSim", f"no interpreter; pip install opensim into an environment of its own, {VARIABLE}=its python")
+        yield missing(
+            "OpenSim", f"no interpreter; pip install opensim into an environment of its own, {VARIABLE}=its python"
+        )
         return
     process: list[Process] = []
     for accuracy in case.steps.opensim:

@@ -95,9 +95,7 @@ class Model:
         end = manager.integrate(self.given["stop"])
         spent = process_time() - before
         self.model.realizePosition(end)
-        points = [
-            self.bodies[i].findStationLocationInGround(end, self.local(i, at)) for i, at in self.given["points"]
-        ]
+        points = [self.bodies[i].findStationLocationInGround(end, self.local(i, at)) for i, at in self.given["points"]]
         return {"cpu": spent, "points": [float(p.get(k)) for p in points for k in range(3)]}
 
 

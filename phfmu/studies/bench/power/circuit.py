@@ -1,6 +1,6 @@
 """One machine at a stiff grid over a line, with a fault at its terminal: the circuit of a notebook of DPsim, in SI.
 
-A turbo generator of 555 MVA (Kundur 1994: field, one damper in d and two in q) delivers 300 MW at 1.05 per unit; the line has half
+A turbo generator of 555 MVA (Kundur 1994: field, one damper in d, two in q) delivers 300 MW at 1.05 per unit; the line has half
 of its charging and its conductance at the machine's bus, where a resistor to ground is switched on at 0.1 s.
 """
 
@@ -22,7 +22,7 @@ P, V1 = 300e6, 1.05 * VN
 _RATIO = (24.0 / 230.0) ** 2
 R_LINE, L_LINE = 1.27e-4 * 52900 * _RATIO, 9.05e-4 * 52900 * _RATIO / W
 C_LINE, G_LINE = 1.81e-3 / 5.29 / _RATIO / W, 8e-2
-R_FAULT, T_FAULT, STOP = 0.05, 0.1, 0.3
+R_FAULT, T_FAULT, STOP = 0.05, 0.1, 0.2
 #: peak phase voltage, current, impedance and inductance of one per unit
 VB = VN * sqrt(2 / 3)
 IB = SN / (1.5 * VB)

@@ -21,12 +21,11 @@ from phfmu.studies.bench.power.circuit import (
     R_FAULT,
     R_LINE,
     SN,
-    STOP,
     T_FAULT,
     VB,
     VN,
-    W,
     ZB,
+    W,
     phases,
     power_flow,
 )
@@ -80,11 +79,12 @@ class Kundur:
         """Stator currents [A] (times x 3); the fault is cut off at t_clear [s]."""
         from scipy.integrate import solve_ivp
 
-        x, out = self.x0, list[Array]()
-        for begin, end, g in ((0.0, T_FAULT, 0.0), (T_FAULT, t_clear, ZB / R_FAULT), (t_clear, STOP, 0.0)):
+        x, out, last = self.x0, list[Array](), float(times[-1])
+        for begin, until, g in ((0.0, T_FAULT, 0.0), (T_FAULT, t_clear, ZB / R_FAULT), (t_clear, last, 0.0)):
+            end = min(until, last)
             if end <= begin:
                 continue
-            inside = times[(times >= begin - 1e-12) & (times < end - 1e-12 if end < STOP else times <= end + 1e-12)]
+            inside = times[(times >= begin - 1e-12) & (times < end - 1e-12 if end < last else times <= end + 1e-12)]
             stops = np.unique(np.clip(np.append(inside, end), begin, end))
             s = solve_ivp(self.rate, (begin, end), x, "DOP853", stops, args=(g,), rtol=rtol, atol=1e-2 * rtol)
             if not s.success:
