@@ -130,5 +130,4 @@ IFTOMM: dict[str, Callable[[], Case]] = {
     "A02 four-bar": four_bar,
     "A03 andrews": andrews,
     "A04 bricard": bricard,
-    "A05 flyball": flyball,
 }
