@@ -43,10 +43,10 @@ def test_the_numbers_are_the_declaration(name: str, compiler: None) -> None:
 
 
 def test_andrews_in_joint_angles_is_published() -> None:
-    """The crank's centre at 0.03 s from the published angle."""
+    """The crank's centre at 0.03 s from the published angle, of which eight decimals are agreed on."""
     beta = 15.81077119629904
     place = np.array([0.00092 * np.cos(beta), 0.00092 * np.sin(beta)])
-    assert case("andrews").reference[-1][:2] == pytest.approx(place, abs=1e-12)
+    assert case("andrews").reference[-1][:2] == pytest.approx(place, abs=1e-8 * 0.00092)
 
 
 @pytest.mark.parametrize(

@@ -145,7 +145,7 @@ def _tree(case: Case, method: str, setting: float) -> Exudyn:
     settings = fixed_steps(lib, case.stop, case.steps.exudyn_tree[0] if controlled else setting)
     run, solver = settings.timeIntegration, lib.MainSolverExplicit()
     run.solverType = getattr(lib.DynamicSolverType, method)
-    run.explicitIntegration.useLieGroupIntegration = False
+    run.explicit.useLieGroupIntegration = False
     if controlled:
         run.numberOfSteps, run.automaticStepSize = 1, True
         run.relativeTolerance, run.absoluteTolerance = setting, 1e-2 * setting
