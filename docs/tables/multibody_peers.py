@@ -57,7 +57,7 @@ def multibody_peers() -> Made:
 
 
 def multibody_peers_iftomm() -> Made:
-    """The problems A01 to A05 of the IFToMM's library beside OpenSim."""
+    """The problems A01 to A04 of the IFToMM's library beside OpenSim."""
     return _rows(True)
 
 

@@ -110,12 +110,6 @@ def four_bar() -> Case:
     return Case("four-bar", library("four_bar"), ("B0",), 5.0, steps, described.four_bar(), described.parallel_cranks())
 
 
-def flyball() -> Case:
-    """The stiff governor; 0.2 s."""
-    steps = Steps({2: (2e-3, 1e-3, 5e-4), 6: (1e-2, 5e-3, 2e-3)}, opensim=(1e-5, 1e-7, 1e-9))
-    return Case("flyball", library("flyball"), positions("slider"), 0.2, steps, described.flyball())
-
-
 CASES: dict[str, Callable[[], Case]] = {
     "chain of 4": chain,
     "slider-crank": slider_crank,

@@ -153,29 +153,6 @@ def four_bar(n: int = 2) -> Assembly:
     return Assembly(vector(0.0, -9.81, 0.0), (*cranks, *couplers), tuple(links), ((0, y),), planar=True)
 
 
-def flyball() -> Assembly:
-    """The stiff governor: shaft, slider, two arms with balls; springs of 8e5 N/m with dampers of 4e4 N.s/m."""
-    bar, cube, ball, turns = 0.3, 3.0, 5.0, 2 * np.pi
-    thin, long, x = bar * 2e-4 / 12, bar * (1.0 + 1e-4) / 12, vector(1.0, 0.0, 0.0)
-    top, speed = vector(0.0, 0.0, 1.0), turns * Z
-    bodies = [
-        Rigid(bar, top / 2, np.diag((long, long, thin)), 0 * Z, speed),
-        Rigid(cube, top / 2, np.eye(3) * cube * 0.01 / 6, 0 * Z, speed),
-    ]
-    links = [Link("revolute", GROUND, 0, 0 * Z, Z), Link("prismatic", 0, 1, top / 2, Z)]
-    struts = []
-    com = (0.5 * bar + ball) / (bar + ball)
-    across = long + bar * 0.25 + ball - (bar + ball) * com**2
-    for i, side in enumerate((-1.0, 1.0)):
-        hinge, turn = top + 0.05 * side * x, turned((0.0, 1.0, 0.0), side * 2 * np.pi / 3)
-        centre = hinge + com * turn @ Z
-        inertia = turn @ np.diag((across, across, thin)) @ turn.T
-        bodies.append(Rigid(bar + ball, centre, inertia, np.cross(speed, centre), speed))
-        links.append(Link("revolute", 0, 2 + i, hinge, vector(0.0, 1.0, 0.0)))
-        struts.append(Strut(1, 2 + i, top / 2 + 0.05 * side * x, hinge + 0.5 * turn @ Z, 8e5, 0.5, 4e4))
-    return Assembly(DOWN, tuple(bodies), tuple(links), ((1, top / 2),), tuple(struts))
-
-
 def _plane(moment: float) -> Array:
     """The inertia of a body that moves in the plane; the moments about axes in it do no work there."""
     return np.diag((moment, moment, moment))
