@@ -45,7 +45,7 @@ class Link:
 
 @dataclass(frozen=True, eq=False)
 class Strut:
-    """A spring with a damper between points of the bodies a and b, given in the world at the start [m]."""
+    """A spring between points of the bodies a and b, given in the world at the start [m]."""
 
     a: int
     b: int
@@ -53,7 +53,6 @@ class Strut:
     at_b: Array
     stiffness: float
     length: float
-    damping: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -88,7 +88,7 @@ class _Bodies:
         for s in assembly.struts:
             self.mbs.CreateSpringDamper(
                 itemNumbers=[self._numbers[s.a], self._numbers[s.b]], localPosition0=self._local(s.a, s.at_a),
-                localPosition1=self._local(s.b, s.at_b), referenceLength=s.length, stiffness=s.stiffness, damping=s.damping,
+                localPosition1=self._local(s.b, s.at_b), referenceLength=s.length, stiffness=s.stiffness,
             )  # fmt: skip
         self.mbs.Assemble()
 

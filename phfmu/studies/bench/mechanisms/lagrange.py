@@ -177,7 +177,6 @@ def lagrange_of(assembly: Assembly) -> Lagrange:
     for s in assembly.struts:
         d = ca.norm_2(tree.poses[s.b].at(s.at_b) - tree.poses[s.a].at(s.at_a))
         potential += 0.5 * s.stiffness * (d - s.length) ** 2
-        force -= s.damping * ca.jtimes(d, p, v) * ca.gradient(d, p)
     for link in assembly.tree:
         if link.torque or link.damping:
             a = tree.angles[link.b]

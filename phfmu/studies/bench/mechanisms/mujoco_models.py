@@ -102,7 +102,7 @@ def _tendons(assembly: Assembly) -> tuple[str, dict[int, str]]:
         for end, i, at in (("a", s.a, s.at_a), ("b", s.b, s.at_b)):
             sites[i] = sites.get(i, "") + f'<site name="s{n}{end}" pos="{_words(at - where[i])}"/>'
         tendons += (
-            f'<spatial stiffness="{s.stiffness!r}" damping="{s.damping!r}" springlength="{s.length!r}">'
+            f'<spatial stiffness="{s.stiffness!r}" springlength="{s.length!r}">'
             f'<site site="s{n}a"/><site site="s{n}b"/></spatial>'
         )
     return (f"<tendon>{tendons}</tendon>" if tendons else ""), sites

@@ -70,7 +70,7 @@ def described(assembly: Assembly, stop: float) -> dict[str, Any]:
         ],
         "struts": [
             {"a": s.a, "b": s.b, "at_a": s.at_a.tolist(), "at_b": s.at_b.tolist(), "stiffness": s.stiffness,
-             "length": s.length, "damping": s.damping}
+             "length": s.length}
             for s in assembly.struts
         ],
         "points": [[i, x.tolist()] for i, x in assembly.points],

@@ -67,17 +67,10 @@ class Model:
             self.model.addConstraint(made)
 
     def strut(self, n: int, s: dict[str, Any]) -> None:
-        """A spring, with a damper as an expression."""
         a, b = self.bodies[s["a"]], self.bodies[s["b"]]
         ends = self.local(s["a"], s["at_a"]), self.local(s["b"], s["at_b"])
-        if not s["damping"]:
-            made = self.o.PointToPointSpring(a, ends[0], b, ends[1], s["stiffness"], s["length"])
-        else:
-            made = self.o.ExpressionBasedPointToPointForce(
-                "ground" if s["a"] < 0 else f"b{s['a']}", ends[0], "ground" if s["b"] < 0 else f"b{s['b']}", ends[1],
-                f"-{s['stiffness']!r}*(d-{s['length']!r})-{s['damping']!r}*ddot",
-            )  # fmt: skip
-        made.setName(f"strut{n}")
+        made = self.o.PointToPointSpring(a, ends[0], b, ends[1], s["stiffness"], s["length"])
+        made.setName(f"spring{n}")
         self.model.addForce(made)
 
     def run(self, accuracy: float) -> dict[str, Any]:
