@@ -67,12 +67,42 @@ def smib() -> Network:
 
 
 def nine_buses() -> Network:
-    """The nine buses of the library from their operating point."""
-    from phfmu.components.scenes.wscc9 import wscc9
+    """The nine buses of the library from their operating point, each transformer's leakage folded into its machine."""
+    from phfmu.components.electrical.machines.machine_init import steady_state
+    from phfmu.components.electrical.machines.synchronous_machine import machine_at_bus
+    from phfmu.components.scenes.wscc9 import BASE, FREQUENCY, LINES, PLANTS, VOLTAGE, machine_of, wscc9_steady
 
-    made = wscc9().system
-    assert isinstance(made, Network)
-    return made
+    found = wscc9_steady().system
+    assert isinstance(found, Network)
+    w, Z, net = 2 * np.pi * FREQUENCY, VOLTAGE**2 / BASE, Network("wscc9")
+    ends: dict[str, list[str]] = {bus: [] for bus in "456789"}
+    charging = {bus: sum(b / 2 for n, (_, _, b) in LINES.items() if bus in n[4:]) / Z / w for bus in ends}
+    for k, (bus, x, rated, _, _) in PLANTS.items():
+        L, data = x * rated**2 / BASE / w, machine_of(k)
+        i = _phasor(found, f"leakage{k}", "flux") / L
+        v = _phasor(found, f"shunt{bus}", "charge") / charging[bus] * rated / VOLTAGE + 1j * w * L * i
+        power = 1.5 * v * np.conj(i)
+        start = steady_state(data, power.real, power.imag, abs(v) * np.sqrt(1.5), phase(v))
+        net.add(f"gen{k}", machine_at_bus(data, 0.0, L, start=start))
+        net.add(f"transformer{k}", found.members[f"transformer{k}"])
+        net.connect(f"gen{k}.terminal", f"transformer{k}.b", name=f"inside{k}")
+        ends[bus].append(f"transformer{k}.a")
+    for name in LINES:
+        net.add(name, found.members[name])
+        for bus, end in zip(name[4:], "ab", strict=True):
+            ends[bus].append(f"{name}.{end}")
+    net.add("fault", found.members["fault"])
+    ends["7"].append("fault.terminal")
+    for bus, ports in ends.items():
+        net.add(f"shunt{bus}", found.members[f"shunt{bus}"])
+        net.junction(f"bus{bus}", [*ports, f"shunt{bus}.terminal"])
+    return net
+
+
+def _phasor(net: Network, member: str, state: str) -> complex:
+    """The phasor [peak] of a balanced state of three phases at the start."""
+    start = next(v.start for v in net.declared[member].states if v.name == state)
+    return complex(2 / 3 * np.sum(np.array(start) * np.exp(1j * circuit.ALPHA)))
 
 
 class Stepped:
