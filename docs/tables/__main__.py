@@ -39,8 +39,10 @@ MAKERS = {
     "events": ("event_orders", "event_losses", "apart_orders"),
     "event_peers": ("event_peers", "event_peers_equal"),
     "event_picture": ("event_picture",),
+    "multibody_peers": ("multibody_peers", "multibody_peers_equal", "multibody_peers_iftomm"),
     "singular_mass": ("mass_spring_orders",),
     "networks": ("couplings",),
+    "grid_peers": ("grid_peers", "grid_peers_equal", "grid_peers_steps"),
     "grids": (
         "grid_power_flows",
         "grid_steady",

@@ -14,12 +14,16 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Run:
-    """States at the times asked for (times x n1); steps, iterations and the worst ledger residual [J] where they are known."""
+    """States at the times asked for (times x n1); steps, iterations and the worst ledger residual [J] where they are known.
+
+    cpu: CPU time of the run [s] where a process of its own told it
+    """
 
     x: Array
     steps: int | None = None
     iterations: int | None = None
     ledger: float | None = None
+    cpu: float | None = None
 
 
 class Solve(Protocol):

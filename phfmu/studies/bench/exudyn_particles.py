@@ -71,7 +71,7 @@ def candidates(problem: Problem) -> Iterator[Candidate]:
     known = particles(problem)
     if known is None:
         return
-    if why := _obstacle():
+    if why := obstacle():
         yield missing("exudyn", why)
         return
     for label, trapezoidal in (("generalized-alpha", False), ("trapezoidal index 2", True)):
@@ -81,7 +81,7 @@ def candidates(problem: Problem) -> Iterator[Candidate]:
             )
 
 
-def _obstacle() -> str:
+def obstacle() -> str:
     """Why exudyn cannot be used, with the remedy; empty if it can."""
     if find_spec("exudyn") is None:
         return "not installed; pip install exudyn"
@@ -91,12 +91,32 @@ def _obstacle() -> str:
     return ""
 
 
-def _library() -> Any:
+def library() -> Any:
+    """The module without range checks, quiet."""
     sys.exudynFast = True  # type: ignore[attr-defined]  # read once, at import
     with redirect_stdout(io.StringIO()):
-        library: Any = import_module("exudyn")
-    library.config.printToConsole = False
-    return library
+        found: Any = import_module("exudyn")
+    found.config.printToConsole = False
+    return found
+
+
+def fixed_steps(library: Any, end: float, h: float) -> Any:
+    """Settings of a run with equal steps up to `end` [s], without files."""
+    settings = library.SimulationSettings()
+    run = settings.timeIntegration
+    run.endTime, run.numberOfSteps, run.adaptiveStep, run.verboseMode = end, round(end / h), False, 0
+    settings.solution.file.write = False
+    return settings
+
+
+def implicit(settings: Any, library: Any, trapezoidal: bool, unknowns: int, fresh: bool) -> None:
+    """Generalized-alpha on positions, or the trapezoidal rule on velocities; `fresh`: a new Jacobian each step."""
+    run, kinds = settings.timeIntegration, library.LinearSolverType
+    run.newton.useModifiedNewton = True
+    run.newton.modifiedNewtonJacUpdatePerStep = fresh
+    run.generalizedAlpha.spectralRadius = 0.9
+    run.generalizedAlpha.useNewmark = run.generalizedAlpha.useIndex2Constraints = trapezoidal
+    settings.linearSolver.solverType = kinds.EigenDense if unknowns < SPARSE else kinds.EigenSparse
 
 
 class _System:
@@ -171,24 +191,13 @@ class _Exudyn:
 
     def __init__(self, problem: Problem, particles: Particles, trapezoidal: bool, h: float):
         problem.require_step(h)
-        self._lib, self._particles, self._trapezoidal, self._h = _library(), particles, trapezoidal, h
+        self._lib, self._particles, self._trapezoidal, self._h = library(), particles, trapezoidal, h
         self._system = _System(self._lib, particles, problem.system.x0)
         self._made = {float(t): self._solver(float(t)) for t in problem.grid}
 
-    def _settings(self, end: float) -> Any:
-        settings = self._lib.SimulationSettings()
-        run, kinds = settings.timeIntegration, self._lib.LinearSolverType
-        run.endTime, run.numberOfSteps, run.adaptiveStep, run.verboseMode = end, round(end / self._h), False, 0
-        run.newton.useModifiedNewton = True
-        run.newton.modifiedNewtonJacUpdatePerStep = self._particles.fresh
-        run.generalizedAlpha.spectralRadius = 0.9
-        run.generalizedAlpha.useNewmark = run.generalizedAlpha.useIndex2Constraints = self._trapezoidal
-        settings.linearSolver.solverType = kinds.EigenDense if self._particles.unknowns < SPARSE else kinds.EigenSparse
-        settings.solution.file.write = False
-        return settings
-
     def _solver(self, end: float) -> tuple[Any, Any]:
-        settings, solver = self._settings(end), self._lib.MainSolverImplicitSecondOrder()
+        settings, solver = fixed_steps(self._lib, end, self._h), self._lib.MainSolverImplicitSecondOrder()
+        implicit(settings, self._lib, self._trapezoidal, self._particles.unknowns, self._particles.fresh)
         solver.InitializeSolver(self._system.mbs, settings)
         return solver, settings
 

@@ -89,11 +89,11 @@ class _Solver:
             instance.set_parameters(self._p0)
             instance.set_input(self._model.u0)
         instance.reset()
-        inputs = Inputs(instance, self._model)
+        inputs = Inputs(instance, self._model) if self._problem.events else None
         x, steps, worst, before = [], 0, 0.0, solver_iterations(instance)
         record = ("stored", "dissipated", "numerical", "supplied") if watch else ()
         for piece in self._problem.pieces(times):
-            for name, value in piece.changes.items():
+            for name, value in piece.changes.items() if inputs is not None else ():
                 inputs.set(name, value)
             start = piece.start
             for end in piece.stops:

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import Protocol
 
 import casadi as ca
 import numpy as np
@@ -41,6 +42,22 @@ class Judged:
     errors: tuple[float, ...]
     energy: float
     drift: float
+
+
+class Compared(Protocol):
+    """What is measured: `grid` holds the times of comparison and the stop time [s], `judged` names what errors are of."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def times(self) -> tuple[float, ...]: ...
+    @property
+    def stop(self) -> float: ...
+    @property
+    def judged(self) -> tuple[str, ...]: ...
+    @property
+    def grid(self) -> Array: ...
+    def judge(self, x: Array) -> Judged: ...
 
 
 @dataclass(eq=False)

@@ -8,7 +8,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from phfmu.studies.bench.problem import Problem
+from phfmu.studies.bench.problem import Compared, Problem
 from phfmu.studies.bench.work_precision import Row, Table, costs_at
 
 FLOOR = 1e-17  # zero on a logarithmic axis
@@ -74,7 +74,7 @@ def write_csv(path: Path, problem: Problem, table: Table, about: Sequence[str]) 
         out.writerows([[f"{c:.6g}" if isinstance(c, float) else c for c in cells(r)] for r in table.rows])
 
 
-def _lines(problem: Problem, table: Table) -> list[tuple[str, bool, list[tuple[float, float, str]]]]:
+def _lines(problem: Compared, table: Table) -> list[tuple[str, bool, list[tuple[float, float, str]]]]:
     which, out = len(problem.times) - 1, []
     for method in table.methods():
         rows = [r for r in table.rows if r.method == method]
@@ -83,14 +83,10 @@ def _lines(problem: Problem, table: Table) -> list[tuple[str, bool, list[tuple[f
     return out
 
 
-def write_png(path: Path, problem: Problem, table: Table, caption: str) -> None:
-    """CPU time over error, one line per method; own schemes in full colour with filled marks."""
-    import matplotlib
-
-    matplotlib.use("Agg")
+def draw_lines(ax: Any, problem: Compared, table: Table) -> None:
+    """CPU time over error in double logarithmic axes, a line per method, errors falling to the right."""
     import matplotlib.pyplot as plt
 
-    figure, ax = plt.subplots(figsize=(8.5, 5.4), layout="constrained")
     own_colours, marks = ["#1f6fb4", "#d1711b", "#5b8c3a", "#8a4fb0", "#b03a48"], "osD^vP*X"
     greys = plt.get_cmap("Greys")
     lines = _lines(problem, table)
@@ -103,11 +99,22 @@ def write_png(path: Path, problem: Problem, table: Table, caption: str) -> None:
             [p[0] for p in points], [p[1] for p in points], marker=marks[number % len(marks)], color=colour, label=method,
             lw=2.0 if mine else 1.0, ls="-" if mine else "--", ms=5.5, mfc=colour if mine else "white",
         )  # fmt: skip
-    which = f"relative error of {', '.join(problem.judged) or 'the states'} at t = {problem.times[-1]:g} s"
-    ax.set(xlabel=which, ylabel="CPU time in ms per simulated second", title=problem.name)
     ax.invert_xaxis()
     ax.grid(which="major", color="0.9")
     ax.spines[["top", "right"]].set_visible(False)
+
+
+def write_png(path: Path, problem: Problem, table: Table, caption: str) -> None:
+    """CPU time over error, one line per method; own schemes in full colour with filled marks."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, ax = plt.subplots(figsize=(8.5, 5.4), layout="constrained")
+    draw_lines(ax, problem, table)
+    which = f"relative error of {', '.join(problem.judged) or 'the states'} at t = {problem.times[-1]:g} s"
+    ax.set(xlabel=which, ylabel="CPU time in ms per simulated second", title=problem.name)
     ax.legend(fontsize=8, frameon=False, bbox_to_anchor=(1.01, 1.0), loc="upper left")
     figure.supxlabel(caption, fontsize=7, color="0.4")
     figure.savefig(path, dpi=150)

@@ -10,7 +10,7 @@ import numpy as np
 
 from phfmu.outcome.status import StepFailure
 from phfmu.studies.bench.candidate import Candidate, NotAvailable
-from phfmu.studies.bench.problem import Judged, Problem
+from phfmu.studies.bench.problem import Compared, Judged
 
 #: CPU seconds after which a row is not timed again
 LONG = 3.0
@@ -44,7 +44,7 @@ class Table:
 
 
 def measure(
-    problem: Problem, candidates: Iterable[Candidate], repeat: int, progress: Callable[[str], None] = lambda _: None
+    problem: Compared, candidates: Iterable[Candidate], repeat: int, progress: Callable[[str], None] = lambda _: None
 ) -> Table:
     """Accuracy first, then `repeat` timed runs to the stop time, taken in turns so that load on the machine hits all alike."""
     table = Table([], [])
@@ -71,8 +71,9 @@ def measure(
             if sum(times) * problem.stop > LONG:
                 continue
             start = process_time()
-            solve([problem.stop])
-            times.append((process_time() - start) / problem.stop)
+            run = solve([problem.stop])
+            spent_here = process_time() - start
+            times.append((spent_here if run.cpu is None else run.cpu) / problem.stop)
     for (c, _, run, judged), times in zip(ready, spent, strict=True):
         cpu = float(np.median(times))
         spread = (max(times) - min(times)) / cpu if cpu else 0.0

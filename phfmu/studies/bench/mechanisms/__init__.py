@@ -1,0 +1,1 @@
+"""Mechanisms beside other multibody programs: one description in numbers, from which every peer's model is made."""

@@ -1,0 +1,1 @@
+"""Power networks beside DPsim: the same numbers for both, and an independent reference."""
