@@ -238,8 +238,8 @@ LANES = """
 ## Runs side by side
 
 Steps of several runs at a time, each number a vector with one of each run, against steps of each by itself with compiled
-kernels: CPU time of a step by one thread, with all that a sweep does in it. Models with a Schur stepper (`four_particle`
-above) are stepped run by run.
+kernels: CPU time of a step by one thread, with all that a sweep does in it. Models with a
+[Schur stepper](../understand/glossary.md#schur-stepper) (`four_particle` above) are stepped run by run.
 
 """
 
