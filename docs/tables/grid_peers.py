@@ -77,7 +77,7 @@ def _cheapest(result: Table, level: float, own: bool) -> float | None:
 
 
 def grid_peers_steps() -> Made:
-    """CPU time per step of 50 us on nine buses, and how many of ours one of DPsim's machines of order 4 takes."""
+    """CPU time per step of 50 us, and how many of them one with DPsim's machines of order 4 takes."""
     found, _ = measured()
     rows: list[list[Any]] = []
     for name, (case, result) in found.items():

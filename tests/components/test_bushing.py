@@ -80,13 +80,14 @@ def missed(found: Any, stop: float) -> float:
     return max(float(np.abs(g).max()) for g in (*gaps, at(found, "block.position") - place))
 
 
-@pytest.mark.parametrize("order, step, most", [(2, 2e-3, 1e-3), (6, 1.25e-2, 1e-7)])
+@pytest.mark.parametrize("order, step, most", [(2, 2e-3, 1e-3), (6, 2e-2, 1e-6)])
 @pytest.mark.parametrize("engine", wide([NativeInstance, PythonInstance], NativeInstance))
 def test_large_rotations_are_those_of_eulers_equations(engine: Any, order: int, step: float, most: float) -> None:
+    """Up to 59 degrees, where the torque is that of the angle to 1e-9."""
     declaration = block().build()
     assert not check(declaration)
-    coarse, fine = (ran(declaration, order, h, 1.0, engine) for h in (step, step / 2))
-    errors = missed(coarse, 1.0), missed(fine, 1.0)
+    coarse, fine = (ran(declaration, order, h, 0.6, engine) for h in (step, step / 2))
+    errors = missed(coarse, 0.6), missed(fine, 0.6)
     assert errors[0] <= most and order - 0.3 < np.log2(errors[0] / errors[1]) < order + 0.5
     assert abs(fine.ledger.summary().network.unexplained) <= 1e-12
 

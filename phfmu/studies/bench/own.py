@@ -93,8 +93,9 @@ class _Solver:
         x, steps, worst, before = [], 0, 0.0, solver_iterations(instance)
         record = ("stored", "dissipated", "numerical", "supplied") if watch else ()
         for piece in self._problem.pieces(times):
-            for name, value in piece.changes.items() if inputs is not None else ():
-                inputs.set(name, value)
+            if inputs is not None:
+                for name, value in piece.changes.items():
+                    inputs.set(name, value)
             start = piece.start
             for end in piece.stops:
                 n = max(1, round((end - start) / self._h))

@@ -76,7 +76,7 @@ class Lagrange:
         def solved(t: float, p: Array, v: Array) -> tuple[Array, Array]:
             made = f(t, p, v).reshape(n + m, n + m + 1, order="F")
             a, b = made[:, :-1], made[:, -1]
-            found = np.linalg.lstsq(a, b, rcond=1e-9)[0] if redundant else np.linalg.solve(a, b)
+            found: Array = np.linalg.lstsq(a, b, rcond=1e-9)[0] if redundant else np.linalg.solve(a, b)  # type: ignore[assignment]
             return found[:n], found[n:]
 
         return solved

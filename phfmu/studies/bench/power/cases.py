@@ -110,7 +110,7 @@ DPSIM = {dpsim.FULL: (100 * US, 50 * US, 20 * US, 5 * US), dpsim.FOURTH: (50 * U
 
 def smib(t_clear: float, name: str) -> GridCase:
     """One machine; currents relative to their largest."""
-    times = np.arange(1, round(circuit.STOP / EVERY) + 1) * EVERY
+    times = EVERY * np.arange(1, round(circuit.STOP / EVERY) + 1, dtype=np.float64)
     exact = Kundur().currents(times, t_clear)
     columns = tuple(f"gen.I[{k}]" for k in (1, 2, 3))
     return GridCase(
