@@ -152,7 +152,7 @@ const ph_network ph_the_network = {{
     .members = members,
     .master = {m},
     .solver = ph_solver_{master.solver},
-{memory}    .rules = {{.held = {int(rules["held"])}, .iterations = {rules["iterations"]}}},
+{memory}    .rules = {{.held = {int(rules["held"])}, .iterations = {rules["iterations"]}, .repeated = {rules["repeated"]!r}}},
     .nroom = {len(rooms)},
     .rooms = rooms,
     .signals = {len(whole.joined.face.names)},

@@ -73,7 +73,7 @@ class Coupled:
         self._signals_are: SignalExchange = signals
         self.joined = Joined(network, members)
         self.coupling = coupling(self.joined) if callable(coupling) else coupling
-        closes = self.coupling.closes and not self.joined.put_off
+        closes = self.coupling.closes and not self.joined.put_off and not self.joined.repeated
         self._growth = None if closes else Growth(self.joined)
         face, inner = self.joined.face, plain(self.coupling)
         self.last = Solution(face.start.copy())

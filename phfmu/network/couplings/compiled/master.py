@@ -403,7 +403,10 @@ class Master:
 
     def _rules(self) -> dict[str, Any]:
         solver = self._solver
-        return {"held": solver.held, "iterations": solver.iterations, "sweeps": solver.sweeps, "accept": self._keeps}
+        return {
+            "held": solver.held, "iterations": solver.iterations, "sweeps": solver.sweeps, "accept": self._keeps or self.joined.repeated > 0.0,
+            "repeated": self.joined.repeated,
+        }  # fmt: skip
 
     def _values(self) -> dict[str, Any]:
         e, p, n = self.found, self._pattern, self.found.size
