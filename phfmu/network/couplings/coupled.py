@@ -110,6 +110,20 @@ class Coupled:
         states, self.last = saved
         self.joined.restore(states)
 
+    def kept(self) -> tuple[Any, ...]:
+        """Where all are, to which `back` brings them after a step; all members save their states."""
+        growth = self._growth and (self._growth.known, self._growth.had)
+        return self.joined.states(), self.last, self._signals.state(), growth, self._at_start
+
+    def back(self, kept: tuple[Any, ...]) -> None:
+        """All members, junction unknowns and signals as they were kept."""
+        states, self.last, samples, growth, self._at_start = kept
+        self.joined.restore(states)
+        self._signals.restore(samples)
+        self._sums.forget()
+        if self._growth is not None:
+            self._growth.known, self._growth.had = growth
+
     def notes(self) -> list[str]:
         """Lines about the run so far: signals that grow without bound, steps in which they did not agree."""
         return [*self._grown.told.values(), *self._apart.told()]
