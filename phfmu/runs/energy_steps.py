@@ -1,16 +1,21 @@
 """Steps of coupled members whose size follows the energy at their junctions.
 
-A coupling holds what members exchange over a step, so a junction neither makes energy nor is that all: power that
-u(t) y(t) carries is booked as h U Y of the means.  For junction k with ports i, in a step of length h,
+A coupling holds what members exchange over a step, so its junctions may make energy, and they hide some: of power u(t) y(t) a step
+books h U Y, the product of the means.  For junction k with ports i, in a step of length h,
 
-    made_k = |sum_i h U_i Y_i|,     hidden_k = h/24 sum_i |dU_i dY_i|,     E_k = sum_i |h U_i Y_i| / 2,
+    made_k = |sum_i h U_i Y_i|,     hidden_k = h/24 sum_i |dU_i dY_i|,     e_k = sum_i |h U_i Y_i| / 2,
 
-dU, dY being the changes of input and output over the step, by the means of the step before: hidden_k is the integral of
-(u - U)(y - Y) of signals that are linear in time, half of it at each side of the junction.
+with dU, dY the changes over the step, by the means of the step before: hidden_k is the integral of (u - U)(y - Y) of signals that are
+linear in time, half of it at each side of the junction.  made_k is left out where steps are repeated until junctions make nothing.
 
-`--energy-rtol R`: every junction keeps made_k + hidden_k <= R (E_k of the run so far) + A, with A = `--atol` [J], default R x 1 J.
-The largest ratio of the two sides decides.  made_k is left out where steps are repeated until junctions make nothing.
-Where all members can take a step back, one that misses the tolerance is taken again; else the next one is smaller.
+`--energy-rtol R`: in each step every junction keeps
+
+    made_k + hidden_k <= R sqrt((E_k + A) (e_k + h P_k + A)),
+
+with E_k the energy that has passed through it in the run, P_k the power of the last ten steps or so, and A = `--atol` [J], default 0.
+An energy dE lost at a level E moves amplitudes by dE / sqrt(E): the right side is a wanted error of these relative to the largest, at
+the present level.  The junction with the largest ratio decides.  Where all members can take a step back, one that misses the tolerance
+is taken again; else only the next one is smaller.
 
 `--ecco TOL` (energy-conservation-based co-simulation): eps^2 = 1/N sum_k (made_k / (TOL (1 J + E_k of the step)))^2, no step is taken
 again, for couplings that take each step once.  Source: Sadjina, Kyllingstad, Skjong, Pedersen, Engineering with Computers 33 (2017)
@@ -40,7 +45,9 @@ from phfmu.words import counted
 Array = NDArray[Any]
 
 NOTHING = 1e-12  # an error below this is this
-FLOOR = 1.0  # J, of which the tolerance is allowed beside the energy exchanged
+FLOOR = 1.0  # J, of which ECCO allows the tolerance beside the energy exchanged
+MEMORY = 0.1  # part of the last step in the mean power of the last ones
+TINY = 1e-300  # J
 HIDDEN = 1.0 / 24.0  # half of the mean of s^2 on [-1/2, 1/2]
 NEAR = 1e-9  # of a step: what is left is all of it
 LOST = 1e-12  # of the time: shorter steps are lost in its rounding
@@ -70,7 +77,7 @@ class EnergySteps:
     """Steps of a `Coupled`.  ValueError where the option means nothing for what is stepped."""
 
     CARRIED = (
-        "_h", "_last", "_steps", "_smallest", "_largest", "_rejected", "_missed", "_exchanged", "_before",
+        "_h", "_last", "_steps", "_smallest", "_largest", "_rejected", "_missed", "_exchanged", "_power", "_before",
     )  # fmt: skip
 
     def __init__(self, stepper: Stepper, options: Options):
@@ -84,14 +91,14 @@ class EnergySteps:
         self._again = not self._ecco and not self.stuck
         self._makes = not coupling.repeats or bool(joined.put_off)
         self._rule = ECCO if self._ecco else rule(2 if self._makes else 3)
-        self._rtol, self._atol = tolerance, FLOOR * tolerance if options.atol is None else options.atol
+        self._rtol, self._atol = tolerance, options.atol or 0.0
         self._first, self._min_step, self._max_step = options.step, options.min_step, options.max_step
         self._h, self._last, self._steps = min(options.step, self._max_step), 1.0, 0
         self._smallest, self._largest, self._rejected, self._missed = math.inf, 0.0, 0, 0
         self._junctions = list(self.stepper.booking.junctions.values())
         self._ports = _ports(self.stepper)
-        #: energy that has passed through each junction; inputs and outputs of the last step, and its length
-        self._exchanged = np.zeros(len(self._junctions))
+        #: energy that has passed through each junction, mean power of the last steps; inputs and outputs of the last one, its length
+        self._exchanged, self._power = np.zeros((2, len(self._junctions)))
         self._before: tuple[Array, Array, float] | None = None
 
     def after_event(self) -> None:
@@ -134,39 +141,41 @@ class EnergySteps:
                     raise
                 self._rejected, self._h, limit = self._rejected + 1, max(SHRINK * h, self._min_step), 1.0
                 continue
-            error, found = self._ecco_error(steps) if self._ecco else self._error(steps, h)
+            made, passed = self._made(steps)
+            now = self.stepper.joined.inputs(self.stepper.last.xi), self._outputs(), h
+            error = self._eps(made, passed) if self._ecco else self._error(made, passed, now)
             if error > 1.0 and kept is not None and h > least:
                 self.stepper.back(kept)
                 factor = SAFETY * error ** (-1.0 / (2 if self._makes else 3))
                 self._rejected, self._h, limit = self._rejected + 1, max(h * max(factor, SHRINK), self._min_step), 1.0
                 continue
             self._missed += not self._ecco and error > 1.0
-            self._exchanged, self._before = found
+            self._exchanged, self._before = self._exchanged + passed, now
+            self._power = self._power + MEMORY * (passed / h - self._power)
             self._smallest, self._largest = min(self._smallest, h), max(self._largest, h)
             self._steps += 1
             if self._steps >= self._rule.first:
                 self._control(h, max(error, NOTHING), limit)
             return [end if whole else t + h], steps
 
-    def _ecco_error(self, steps: Steps) -> tuple[float, tuple[Array, None]]:
-        """eps of a step."""
-        made, passed = self._made(steps)
-        eps = float(np.sqrt(np.mean((made / (self._rtol * (FLOOR + passed))) ** 2)))
-        return max(eps, NOTHING), (self._exchanged, None)
+    def _eps(self, made: Array, passed: Array) -> float:
+        """eps of ECCO."""
+        return float(np.sqrt(np.mean((made / (self._rtol * (FLOOR + passed))) ** 2)))
 
-    def _error(self, steps: Steps, h: float) -> tuple[float, tuple[Array, tuple[Array, Array, float]]]:
-        """The largest residual of a junction relative to what is allowed; what has passed through each, and the step."""
-        made, passed = self._made(steps)
-        exchanged = self._exchanged + passed
-        joined = self.stepper.joined
-        u, y = joined.inputs(self.stepper.last.xi), np.concatenate([m.output() for m in joined.members])
+    def _error(self, made: Array, passed: Array, now: tuple[Array, Array, float]) -> float:
+        """The largest residual of a junction relative to what is allowed."""
         residual = made if self._makes else np.zeros(len(made))
-        if self._before is not None:
-            u_before, y_before, length = self._before
-            slope = 2.0 * h / (h + length)
-            hidden = h * HIDDEN * np.abs(slope * (u - u_before) * slope * (y - y_before))
+        (u, y, h), before = now, self._before
+        if before is not None:
+            slope = 2.0 * h / (h + before[2])
+            hidden = h * HIDDEN * np.abs(slope * (u - before[0]) * slope * (y - before[1]))
             residual = residual + np.array([hidden[place].sum() for place in self._ports])
-        return float((residual / (self._rtol * exchanged + self._atol)).max(initial=0.0)), (exchanged, (u, y, h))
+        level = (self._exchanged + passed + self._atol) * (passed + h * self._power + self._atol)
+        return float((residual / (self._rtol * np.sqrt(level) + TINY)).max(initial=0.0))
+
+    def _outputs(self) -> Array:
+        """Mean outputs of all members in the last step (nu)."""
+        return np.concatenate([m.output() for m in self.stepper.joined.members])
 
     def _made(self, steps: Steps) -> tuple[Array, Array]:
         """Energy that each junction made, and what passed through it."""
