@@ -88,8 +88,8 @@ def add_steps(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rtol", type=float, help="adapt the step: allowed error of a step relative to each state")
     parser.add_argument("--atol", type=float, help="the same relative to each state's nominal value (default: --rtol)")
     parser.add_argument("--energy-rtol", type=float, metavar="R",
-                        help="adapt the step of coupled members: allowed energy that each junction makes or hides in a step, relative "
-                        "to what passes through it; --atol: the least of that in J (default: none)")  # fmt: skip
+                        help="adapt the step of coupled members: allowed energy that each junction makes or hides in a step, "
+                        "relative to what passes through it; --atol: the least of that in J (default: none)")  # fmt: skip
     parser.add_argument("--ecco", type=float, metavar="TOL",
                         help="adapt the step of couplings that take each step once: allowed energy that a junction makes in "
                         "a step, relative to what passes through it and 1 J")  # fmt: skip

@@ -1,25 +1,26 @@
 """Steps of coupled members whose size follows the energy at their junctions.
 
-A coupling holds what members exchange over a step, so its junctions may make energy, and they hide some: of power u(t) y(t) a step
-books h U Y, the product of the means.  For junction k with ports i, in a step of length h,
+A coupling holds what members exchange over a step, so its junctions may make energy, and they hide some: of power u(t) y(t)
+a step books h U Y, the product of the means.  For junction k with ports i, in a step of length h,
 
     made_k = |sum_i h U_i Y_i|,     hidden_k = h/24 sum_i |dU_i dY_i|,     e_k = sum_i |h U_i Y_i| / 2,
 
-with dU, dY the changes over the step, by the means of the step before: hidden_k is the integral of (u - U)(y - Y) of signals that are
-linear in time, half of it at each side of the junction.  made_k is left out where steps are repeated until junctions make nothing.
+with dU, dY the changes over the step, by the means of the step before: hidden_k is the integral of (u - U)(y - Y) of signals
+that are linear in time, half of it at each side of the junction.  made_k is left out where steps are repeated until junctions
+make nothing.
 
 `--energy-rtol R`: in each step every junction keeps
 
     made_k + hidden_k <= R sqrt((E_k + A) (e_k + h P_k + A)),
 
-with E_k the energy that has passed through it in the run, P_k the power of the last ten steps or so, and A = `--atol` [J], default 0.
-An energy dE lost at a level E moves amplitudes by dE / sqrt(E): the right side is a wanted error of these relative to the largest, at
-the present level.  The junction with the largest ratio decides.  Where all members can take a step back, one that misses the tolerance
-is taken again; else only the next one is smaller.
+with E_k the energy that has passed through it in the run, P_k the power of the last ten steps or so, and A = `--atol` [J],
+default 0.  An energy dE that is lost at a level E moves amplitudes by dE / sqrt(E), so the right side asks for an error of
+amplitudes relative to the largest so far.  The junction with the largest ratio decides.  Where all members can take a step back,
+one that misses the tolerance is taken again; else only the next one is smaller.
 
-`--ecco TOL` (energy-conservation-based co-simulation): eps^2 = 1/N sum_k (made_k / (TOL (1 J + E_k of the step)))^2, no step is taken
-again, for couplings that take each step once.  Source: Sadjina, Kyllingstad, Skjong, Pedersen, Engineering with Computers 33 (2017)
-607; its numbers as in libcosim.
+`--ecco TOL` (energy-conservation-based co-simulation): eps^2 = 1/N sum_k (made_k / (TOL (1 J + e_k)))^2 for couplings that take
+each step once, none again.
+Source: Sadjina, Kyllingstad, Skjong, Pedersen, Engineering with Computers 33 (2017) 607; its numbers as in libcosim.
 
 Both follow a PI controller, h <- h s e^-a e_last^b, within [least, most] times the last step.
 """
@@ -97,8 +98,9 @@ class EnergySteps:
         self._smallest, self._largest, self._rejected, self._missed = math.inf, 0.0, 0, 0
         self._junctions = list(self.stepper.booking.junctions.values())
         self._ports = _ports(self.stepper)
-        #: energy that has passed through each junction, mean power of the last steps; inputs and outputs of the last one, its length
+        #: by junction: energy that has passed through it, mean power of the last steps
         self._exchanged, self._power = np.zeros((2, len(self._junctions)))
+        #: inputs and outputs of the last step, and its length
         self._before: tuple[Array, Array, float] | None = None
 
     def after_event(self) -> None:
@@ -116,7 +118,8 @@ class EnergySteps:
         told = []
         if self.stuck and not self._ecco:
             told.append(
-                f"{', '.join(self.stuck)} cannot take a step back: no step was taken again, --energy-rtol sized the next ones only"
+                f"{', '.join(self.stuck)} cannot take a step back: no step was taken again, --energy-rtol sized "
+                "the next ones only"
             )
         if self._missed:
             told.append(f"{counted(self._missed, 'step')} of those taken missed --energy-rtol {self._rtol:g}")
@@ -214,8 +217,8 @@ def _fits(stepper: Stepper) -> Coupled:
     if not isinstance(stepper, Coupled):
         names = ", ".join(row.name for row in COUPLINGS.values() if row.apart)
         raise ValueError(
-            f"--energy-rtol follows the energy that members exchange over a step, and this run steps {stepper.what}, which exchanges none: "
-            f"take --rtol, or step members apart (--coupling {names})"
+            f"--energy-rtol follows the energy that members exchange over a step, and this run steps {stepper.what}, "
+            f"which exchanges none: take --rtol, or step members apart (--coupling {names})"
         )
     if not stepper.booking.junctions:
         raise ValueError(

@@ -27,8 +27,8 @@ class Options:
     events:  values that parameters and free inputs take; the grid of steps starts anew at each
     rtol:  steps are as long as |error| <= rtol |x| + atol nominal allows in each of them (atol: as rtol); then `step` is the
         first trial, steps are within [min_step, max_step], multiples of `landing` after t0 and each event are landed on
-    energy_rtol:  in a step every junction of coupled members makes and hides at most this part of the energy that passes through it,
-        that of a floor of atol [J] (default 0), within [min_step, max_step]; see `energy_steps.py`
+    energy_rtol:  in a step every junction of coupled members makes and hides at most this part of the energy that passes
+        through it, and of atol [J] (default 0), within [min_step, max_step]; see `energy_steps.py`
     ecco:  the same by the rule of ECCO, for couplings that take each step once
     restart:  damping steps (Radau IIA) after each event
     signals:  the columns of the rows, by name or pattern (`gen.*`); none: all

@@ -152,7 +152,7 @@ const ph_network ph_the_network = {{
     .members = members,
     .master = {m},
     .solver = ph_solver_{master.solver},
-{memory}    .rules = {{.held = {int(rules["held"])}, .iterations = {rules["iterations"]}, .repeated = {rules["repeated"]!r}}},
+{memory}    .rules = {{{_rules(rules)}}},
     .nroom = {len(rooms)},
     .rooms = rooms,
     .signals = {len(whole.joined.face.names)},
@@ -162,6 +162,12 @@ const ph_network ph_the_network = {{
 {given}    .njunction = {len(first) - 1},
 }};
 """
+
+
+def _rules(rules: Mapping[str, Any]) -> str:
+    """Fields of `ph_rules` of a coupling that iterates."""
+    whole = ", ".join(f".{name} = {int(rules[name])}" for name in ("held", "iterations", "accept"))
+    return f"{whole}, .repeated = {number(float(rules['repeated']))}"
 
 
 def _memory(tables: Tables, master: Master) -> str:

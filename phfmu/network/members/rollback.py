@@ -87,8 +87,8 @@ def try_rollback(make: Callable[[], FMUInstance], h: float) -> Rollback:
 def _wanders(unit: FMUInstance, h: float, way: Way) -> float:
     """The largest relative difference of a step that is taken again and again, if it is small and stays as it is; else 0.
 
-    Solvers inside a unit may keep the length of their last step, which is in no saved state: steps taken again differ by less than
-    these solvers' own error, however often.  What a unit has forgotten of its state goes on from trial to trial instead.
+    Solvers inside a unit may keep the length of their last step, which is in no saved state: steps taken again differ by less
+    than these solvers' own error, however often.  What a unit has forgotten of its state goes on from trial to trial instead.
     """
     steps = _Steps(unit, h, way)
     try:
@@ -166,7 +166,7 @@ class _Steps:
 
 
 def unsteady(unit: FMUInstance, h: float, repeated: float = 0.0) -> str:
-    """The difference when a step of length h is taken twice from here, in words; "" if there is none, or not more than `repeated`.
+    """The difference when a step of length h is taken twice from here, in words; "" if it is at most `repeated`.
 
     The unit is back afterwards, as far as it can.
     """
@@ -215,11 +215,12 @@ def response(make: Callable[[], FMUInstance], h: float) -> tuple[Array, Array]:
 
 
 def tells_late(make: Callable[..., FMUInstance], h: float) -> bool:
-    """Whether outputs of ports follow inputs at once, but are told so only after a step; and steps of length h may be taken in parts.
+    """Whether outputs of ports follow inputs at once, but are told so only after a step, and steps may be taken in two parts.
 
-    Many libraries compute outputs within doStep only.  What they tell at the start of a step belongs to the inputs of the step before
-    then: the mean of it and of the output at the end would be of first order.  Here an input changes between two steps; what a
-    short one makes of the outputs beside their drift, and reading them before it did not, is told late.
+    Many libraries compute outputs within doStep only.  What they tell at the start of a step belongs to the inputs of the step
+    before then, and the mean of it and of the output at the end would be of first order.  Here all inputs change after a step
+    of length h: what a short step makes of the outputs beside their drift, and reading them before it did not, is told late.
+    Parts are not taken where they end with other outputs than the whole step, as in units with steps of their own inside.
     """
     try:
         with make() as unit:
