@@ -151,7 +151,7 @@ def test_steps_that_follow_the_energy_of_the_bond(folder: Path) -> None:
     error, steps = off(folder, "--coupling", "newton", "--step", "1e-3", "--stop", "2", "--energy-rtol", "1e-4")
     assert error < 1.5e-3 and steps < 350
     worse, more = off(
-        folder, "--coupling", "gauss-seidel", "--step", "1e-4", "--max-step", "0.01", "--stop", "2", "--ecco", "0.1"
+        folder, "--coupling", "gauss-seidel", "--step", "1e-4", "--max-step", "0.01", "--stop", "2", "--ecco", "0.01"
     )
     assert more > 2 * steps and worse > 2 * error
 
