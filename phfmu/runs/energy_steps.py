@@ -28,6 +28,7 @@ Both follow a PI controller, h <- h s e^-a e_last^b, within [least, most] times 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -96,8 +97,9 @@ class EnergySteps:
         self._first, self._min_step, self._max_step = options.step, options.min_step, options.max_step
         self._h, self._last, self._steps = min(options.step, self._max_step), 1.0, 0
         self._smallest, self._largest, self._rejected, self._missed = math.inf, 0.0, 0, 0
-        self._junctions = list(self.stepper.booking.junctions.values())
-        self._ports = _ports(self.stepper)
+        between = {j.name for j in joined.network.junctions}  # those inside a composed member exchange nothing
+        booked = {n: place for n, place in self.stepper.booking.junctions.items() if n in between}
+        self._junctions, self._ports = list(booked.values()), _ports(self.stepper, booked)
         #: by junction: energy that has passed through it, mean power of the last steps
         self._exchanged, self._power = np.zeros((2, len(self._junctions)))
         #: inputs and outputs of the last step, and its length
@@ -195,13 +197,13 @@ class EnergySteps:
         self._h, self._last = min(max(proposal, cut, self._min_step), self._max_step), error
 
 
-def _ports(stepper: Coupled) -> list[Array]:
-    """By junction of the audit, places of its ports among the inputs of all members."""
+def _ports(stepper: Coupled, junctions: Iterable[str]) -> list[Array]:
+    """By junction, places of its ports among the inputs of all members."""
     joined, at = stepper.joined, dict[tuple[str, str], Any]()
     for m, place in zip(joined.members, joined.places, strict=True):
         at |= {(m.name, port): np.arange(own.start, own.stop) + place.start for port, own in m.places.items()}
-    junctions = {j.name: j for j in joined.network.junctions}
-    return [np.concatenate([at[e.member, e.port] for e in junctions[n].ends]) for n in stepper.booking.junctions]
+    ends = {j.name: j.ends for j in joined.network.junctions}
+    return [np.concatenate([at[e.member, e.port] for e in ends[n]]) for n in junctions]
 
 
 def _ecco_fits(stepper: Stepper) -> Coupled:
@@ -220,7 +222,7 @@ def _fits(stepper: Stepper) -> Coupled:
             f"--energy-rtol follows the energy that members exchange over a step, and this run steps {stepper.what}, "
             f"which exchanges none: take --rtol, or step members apart (--coupling {names})"
         )
-    if not stepper.booking.junctions:
+    if not stepper.joined.network.junctions:
         raise ValueError(
             f"--energy-rtol follows the energy at junctions, and {stepper.joined.network.name} has none; leave it out"
         )
