@@ -41,6 +41,7 @@ MAKERS = {
     "event_picture": ("event_picture",),
     "singular_mass": ("mass_spring_orders",),
     "networks": ("couplings",),
+    "quarter_truck": ("quarter_truck",),
     "grids": (
         "grid_power_flows",
         "grid_steady",
