@@ -13,10 +13,11 @@ make nothing.
 
     made_k + hidden_k <= R sqrt((E_k + A) (e_k + h P_k + A)),
 
-with E_k the energy that has passed through it in the run, P_k the power of the last ten steps or so, and A = `--atol` [J],
-default 0.  An energy dE that is lost at a level E moves amplitudes by dE / sqrt(E), so the right side asks for an error of
-amplitudes relative to the largest so far.  The junction with the largest ratio decides.  Where all members can take a step back,
-one that misses the tolerance is taken again; else only the next one is smaller.
+with E_k the energy that has passed through it in the run, P_k the power of the last ten steps or so, and A the larger of `--atol`
+[J] (default 0) and of what passes in the first trial, of length `--step`: from rest all of a short step may be residual.  An
+energy dE that is lost at a level E moves amplitudes by dE / sqrt(E), so the right side asks for an error of amplitudes relative
+to the largest so far.  The junction with the largest ratio decides.  Where all members can take a step back, one that misses
+the tolerance is taken again; else only the next one is smaller.
 
 `--ecco TOL` (energy-conservation-based co-simulation): eps^2 = 1/N sum_k (made_k / (TOL (1 J + e_k)))^2 for couplings that take
 each step once, none again.
@@ -52,7 +53,7 @@ MEMORY = 0.1  # part of the last step in the mean power of the last ones
 TINY = 1e-300  # J
 HIDDEN = 1.0 / 24.0  # half of the mean of s^2 on [-1/2, 1/2]
 NEAR = 1e-9  # of a step: what is left is all of it
-LOST = 1e-12  # of the time: shorter steps are lost in its rounding
+LEAST = 1e-6  # of `--step`: steps are not shorter than that or `--min-step`
 
 
 @dataclass(frozen=True)
@@ -79,7 +80,7 @@ class EnergySteps:
     """Steps of a `Coupled`.  ValueError where the option means nothing for what is stepped."""
 
     CARRIED = (
-        "_h", "_last", "_steps", "_smallest", "_largest", "_rejected", "_missed", "_exchanged", "_power", "_before",
+        "_h", "_last", "_steps", "_smallest", "_largest", "_rejected", "_missed", "_exchanged", "_power", "_floor", "_before",
     )  # fmt: skip
 
     def __init__(self, stepper: Stepper, options: Options):
@@ -94,7 +95,8 @@ class EnergySteps:
         self._makes = not coupling.repeats or bool(joined.put_off)
         self._rule = ECCO if self._ecco else rule(2 if self._makes else 3)
         self._rtol, self._atol = tolerance, options.atol or 0.0
-        self._first, self._min_step, self._max_step = options.step, options.min_step, options.max_step
+        self._first, self._max_step = options.step, options.max_step
+        self._min_step = options.min_step or (0.0 if self._ecco else min(LEAST * options.step, options.max_step))
         self._h, self._last, self._steps = min(options.step, self._max_step), 1.0, 0
         self._smallest, self._largest, self._rejected, self._missed = math.inf, 0.0, 0, 0
         between = {j.name for j in joined.network.junctions}  # those inside a composed member exchange nothing
@@ -102,6 +104,8 @@ class EnergySteps:
         self._junctions, self._ports = list(booked.values()), _ports(self.stepper, booked)
         #: by junction: energy that has passed through it, mean power of the last steps
         self._exchanged, self._power = np.zeros((2, len(self._junctions)))
+        #: by junction, A; None before the first trial
+        self._floor: Array | None = None
         #: inputs and outputs of the last step, and its length
         self._before: tuple[Array, Array, float] | None = None
 
@@ -137,7 +141,7 @@ class EnergySteps:
             left = end - t
             whole = self._h >= left * (1 - NEAR)
             h = left if whole else self._h if 2 * self._h <= left else left / 2
-            least = max(self._min_step, LOST * abs(t)) * (1 + NEAR)
+            least = self._min_step * (1 + NEAR)
             kept = self.stepper.kept() if self._again else None
             try:
                 steps = self.stepper.advance(t, h, 1)
@@ -175,7 +179,9 @@ class EnergySteps:
             slope = 2.0 * h / (h + before[2])
             hidden = h * HIDDEN * np.abs(slope * (u - before[0]) * slope * (y - before[1]))
             residual = residual + np.array([hidden[place].sum() for place in self._ports])
-        level = (self._exchanged + passed + self._atol) * (passed + h * self._power + self._atol)
+        if self._floor is None:
+            self._floor = np.maximum(passed, self._atol)
+        level = (self._exchanged + passed + self._floor) * (passed + h * self._power + self._floor)
         return float((residual / (self._rtol * np.sqrt(level) + TINY)).max(initial=0.0))
 
     def _outputs(self) -> Array:
