@@ -43,6 +43,7 @@ MAKERS = {
     "singular_mass": ("mass_spring_orders",),
     "networks": ("couplings",),
     "grid_peers": ("grid_peers", "grid_peers_equal", "grid_peers_steps"),
+    "quarter_truck": ("quarter_truck",),
     "grids": (
         "grid_power_flows",
         "grid_steady",

@@ -25,8 +25,11 @@ def require_fit(args: argparse.Namespace) -> None:
     """ValueError for options that give the rows of a run times of their own."""
     if not args.accuracy:
         return
-    if args.ecco is not None:
-        raise ValueError("--accuracy compares rows at equal times, and steps by --ecco have others; take equal steps")
+    for option, given in (("--ecco", args.ecco), ("--energy-rtol", args.energy_rtol)):
+        if given is not None:
+            raise ValueError(
+                f"--accuracy compares rows at equal times, and steps by {option} have others; take equal steps"
+            )
     if args.rtol is not None and not args.step:
         raise ValueError(
             "--accuracy compares rows at equal times: with --rtol give --step too, whose multiples all runs land on"

@@ -85,9 +85,12 @@ def scene_of(args: argparse.Namespace) -> Scene:
 
 
 def add_steps(parser: argparse.ArgumentParser) -> None:
-    """--rtol, --atol, --min-step, --max-step, --restart, --dense."""
+    """--rtol, --atol, --energy-rtol, --ecco, --min-step, --max-step, --restart, --dense."""
     parser.add_argument("--rtol", type=float, help="adapt the step: allowed error of a step relative to each state")
     parser.add_argument("--atol", type=float, help="the same relative to each state's nominal value (default: --rtol)")
+    parser.add_argument("--energy-rtol", type=float, metavar="R",
+                        help="adapt the step of coupled members: allowed energy that each junction makes or hides in a step, "
+                        "relative to what passes through it; --atol: the least of that in J (default: none)")  # fmt: skip
     parser.add_argument("--ecco", type=float, metavar="TOL",
                         help="adapt the step of couplings that take each step once: allowed energy that a junction makes in "
                         "a step, relative to what passes through it and 1 J")  # fmt: skip
@@ -117,7 +120,13 @@ def of_run(args: argparse.Namespace, scene: Scene, *, whole: bool) -> Options:
     stop = scene.stop if args.stop is None else args.stop
     step = scene.step if args.step is None else args.step
     restart = args.restart if args.restart is not None else scene.restart if whole else 0
-    given = {"ecco": args.ecco, "atol": args.atol, "min_step": args.min_step, "max_step": args.max_step}
+    given = {
+        "energy_rtol": args.energy_rtol,
+        "ecco": args.ecco,
+        "atol": args.atol,
+        "min_step": args.min_step,
+        "max_step": args.max_step,
+    }
     if args.rtol is not None and args.step:
         given["landing"] = args.step
     return Options(

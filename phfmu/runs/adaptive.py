@@ -107,6 +107,10 @@ class Adaptive:
         c = self.control
         return {"rejected": c.rejected, "smallest": c.smallest, "largest": c.largest}
 
+    def notes(self) -> list[str]:
+        """Steps that keep the tolerance have none."""
+        return []
+
     def march(self, pauses: bool = False) -> NativeMarch | None:
         """The same steps in compiled code, many a call and recorded; None where only a loop in Python can take them.
 

@@ -31,7 +31,7 @@ from phfmu.runs.stretches import Stretch
 
 if TYPE_CHECKING:
     from phfmu.runs.adaptive import Adaptive
-    from phfmu.runs.ecco import Ecco
+    from phfmu.runs.energy_steps import EnergySteps
     from phfmu.runs.native_march import NativeMarch
 
 Array = NDArray[Any]
@@ -292,7 +292,7 @@ class AdaptiveSteps:
 
     def notes(self) -> list[str]:
         """Notes of what was not as asked for, one line each."""
-        return not_damped(self._wanted - self._restarted, self._wanted)
+        return [*not_damped(self._wanted - self._restarted, self._wanted), *self.adaptive.notes()]
 
     def _taken(
         self, t: float, ahead: Array, damped: bool, room: int
@@ -316,12 +316,12 @@ class AdaptiveSteps:
         return step_rows(t[:-1], t[1:], steps)
 
 
-def _sized(stepper: Stepper, options: Options) -> Adaptive | Ecco:
+def _sized(stepper: Stepper, options: Options) -> Adaptive | EnergySteps:
     """Steps of the size that the options ask for."""
-    if options.ecco is not None:
-        from phfmu.runs.ecco import Ecco
+    if options.by_energy:
+        from phfmu.runs.energy_steps import EnergySteps
 
-        return Ecco(stepper, options, options.ecco)
+        return EnergySteps(stepper, options)
     from phfmu.runs.adaptive import Adaptive
 
     whole = monolithic(stepper, "--rtol")

@@ -27,7 +27,9 @@ class Options:
     events:  values that parameters and free inputs take; the grid of steps starts anew at each
     rtol:  steps are as long as |error| <= rtol |x| + atol nominal allows in each of them (atol: as rtol); then `step` is the
         first trial, steps are within [min_step, max_step], multiples of `landing` after t0 and each event are landed on
-    ecco:  tolerance of steps that follow the energy of junctions (see `ecco.py`), within [min_step, max_step]
+    energy_rtol:  in a step every junction of coupled members makes and hides at most this part of the energy that passes
+        through it, and of atol [J] (default 0), within [min_step, max_step]; see `energy_steps.py`
+    ecco:  the same by the rule of ECCO, for couplings that take each step once
     restart:  damping steps (Radau IIA) after each event
     signals:  the columns of the rows, by name or pattern (`gen.*`); none: all
     every:  rows this far apart only: an integer counts rows, any other number is a time in s; first and last row stay
@@ -52,6 +54,7 @@ class Options:
     t0: float = 0.0
     events: Sequence[Event] = ()
     rtol: float | None = None
+    energy_rtol: float | None = None
     ecco: float | None = None
     atol: float | None = None
     min_step: float = 0.0
@@ -76,7 +79,12 @@ class Options:
     @property
     def adaptive(self) -> bool:
         """Whether the step changes by itself."""
-        return self.rtol is not None or self.ecco is not None
+        return self.rtol is not None or self.by_energy
+
+    @property
+    def by_energy(self) -> bool:
+        """Whether the step follows the energy at junctions."""
+        return self.ecco is not None or self.energy_rtol is not None
 
     def __post_init__(self) -> None:
         _times(self)
@@ -113,7 +121,19 @@ def _times(o: Options) -> None:
 
 
 def _tolerances(o: Options) -> None:
-    if o.ecco is not None:
+    if o.energy_rtol is not None:
+        others = [
+            n
+            for n, given in (("--rtol", o.rtol), ("--ecco", o.ecco), ("--restart", o.restart or None))
+            if given is not None
+        ]
+        if others:
+            raise ValueError(f"--energy-rtol sizes steps by the energy at junctions; leave out {', '.join(others)}")
+        if not 0 < o.energy_rtol < 1:
+            raise ValueError(f"--energy-rtol {o.energy_rtol}: expected a number between 0 and 1, e.g. 1e-5")
+        if o.atol is not None and not 0 <= o.atol < inf:
+            raise ValueError(f"--atol {o.atol}: with --energy-rtol expected an energy in J from 0, e.g. 1e-5")
+    elif o.ecco is not None:
         if o.rtol is not None or o.atol is not None or o.restart:
             raise ValueError("--ecco sizes steps by the energy of junctions; leave out --rtol, --atol and --restart")
         if not 0 < o.ecco < inf:

@@ -224,19 +224,24 @@ def _print_signs_lost(scene: Scene, events: Sequence[Event], result: Result, com
             print(f"phfmu: {name}: R is not positive semidefinite at t = {t:.6g} s: {lost}", file=sys.stderr)
 
 
+def _tolerance(chosen: Options) -> str:
+    """The tolerance that steps keep, as it was asked for."""
+    given = {"rtol": chosen.rtol, "ecco": chosen.ecco, "energy rtol": chosen.energy_rtol}
+    return next(f"{name} {value:g}" for name, value in given.items() if value is not None)
+
+
 def _print_run(args: argparse.Namespace, label: str, result: Result, chosen: Options, seconds: float) -> None:
     its = f", {result.iterations / result.steps:.2f} iterations a step" if result.iterations else ""  # units tell none
     sizes = (
         f"step {chosen.step:g} s"
         if not chosen.adaptive
-        else f"{f'rtol {args.rtol:g}' if chosen.ecco is None else f'ecco {chosen.ecco:g}'}, steps {result.smallest:.3g} to "
-        f"{result.largest:.3g} s"
+        else f"{_tolerance(chosen)}, steps {result.smallest:.3g} to {result.largest:.3g} s"
     )
     print(f"{args.target}: {label}; {sizes} to {chosen.stop:g} s: {counted(result.steps, 'step')}{its}, "
           f"{seconds:.3g} s")  # fmt: skip
     if result.projection is not None:
         _print_projection(result.projection)
-    if args.rtol is not None:
+    if args.rtol is not None or args.energy_rtol is not None:
         print(f"rejected: {counted(result.rejected, 'trial step')}")
     if result.restarted:
         print(f"restarted after events with {counted(result.restarted, 'damping step')}")

@@ -40,7 +40,8 @@ class FMUInstance:
     `early_return`: `do_step` may end before its end (FMI 3.0), see there.  `isolate`: the unit has a process of its own, in which
     a call may take so many s; UnitFailure if that ends, or is late.  `tolerance`: relative, of the experiment; None leaves it
     to the unit.  `no_set_prior`: what every step is told as noSetFMUStatePriorToCurrentPoint; None tells what is so: that no
-    state of a time before it is held.
+    state of a time before it is held.  `in_parts`: each step is taken in two parts, for the means of outputs that the unit tells
+    only after a step (see `EstimatedBooks`).
     Errors: FMUError; StepFailure for a refused step: units of this package are back at the last accepted one.
     """
 
@@ -59,6 +60,7 @@ class FMUInstance:
         isolate: float | None = None,
         tolerance: float | None = None,
         no_set_prior: bool | None = None,
+        in_parts: bool = False,
     ):
         archive = open_archive(path)
         self.interface: UnitInterface = archive.interface
@@ -76,7 +78,7 @@ class FMUInstance:
         self.interface = able(self.interface, self._slave.absent)
         self._states = SavedStates(self._slave)
         #: what steps are told, and how the last one ended
-        self.steps = UnitSteps(self.name, self._slave, self._states, self._books, no_set_prior)
+        self.steps = UnitSteps(self.name, self._slave, self._states, self._books, no_set_prior, in_parts)
         #: values at the nodes of a step, impulses, their derivatives: what engines have as methods of their instances
         self.at_nodes = NodeExchange(self._slave, self._values)
         self._close = weakref.finalize(self, free, self._states, archive)
@@ -122,6 +124,11 @@ class FMUInstance:
     def nu(self) -> int:
         """Number of scalar port pairs."""
         return self._values.nu
+
+    @property
+    def rated(self) -> bool:
+        """Whether all outputs of its ports are rates of displacements that it tells."""
+        return len(self._values.rates) == self.nu
 
     @property
     def estimated(self) -> bool:

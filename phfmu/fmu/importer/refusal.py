@@ -19,7 +19,8 @@ ANSWERS = {
     "part of a step": ("it ended the step before its end, as it was allowed, but the run needs all of it",
                        "make its instance without early_return, or take smaller steps"),
     "other length": ("all of its steps have to be equal (canHandleVariableCommunicationStepSize)",
-                     "move events, input rows and the stop onto the grid of steps, without --ecco and --unconverged halve"),
+                     "move events, input rows and the stop onto the grid of steps, without --energy-rtol, --ecco "
+                     "and --unconverged halve"),
     "early return": ("it ended the step before its end, which it was not allowed", "ask its maker"),
     "gone": ("it is not there any more", "ask its maker; rows and audit until here are kept"),
     "hang": ("its process was ended", "allow it more time (--isolate-timeout), or ask its maker"),

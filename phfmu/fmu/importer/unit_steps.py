@@ -69,12 +69,14 @@ ROUNDING = 1e-6  # of a step: the time at its start, summed or multiplied
 
 class UnitSteps:
     """`time`: where the unit is (s);  `h`: length of the last step;  `ended`: it has asked to end the simulation;
-    `no_set_prior`: what steps are told, None: what is so.
+    `no_set_prior`: what steps are told, None: what is so;  `in_parts`: each is taken in two parts, of a third and two thirds.
     """
 
-    def __init__(self, name: str, slave: AnySlave, states: SavedStates, books: Books, no_set_prior: bool | None):
+    def __init__(
+        self, name: str, slave: AnySlave, states: SavedStates, books: Books, no_set_prior: bool | None, in_parts: bool
+    ):
         self._name, self._slave, self._states, self._books = name, slave, states, books
-        self.no_set_prior = no_set_prior
+        self.no_set_prior, self.in_parts = no_set_prior, in_parts
         self.begin(0.0)
 
     def begin(self, start: float) -> None:
@@ -87,7 +89,7 @@ class UnitSteps:
             kept = self.no_set_prior
             if kept is None:
                 kept = not self._states.reach_before(t - ROUNDING * h)
-            reached, self.ended = self._slave.do_step(t, h, kept)
+            reached = self._over(t, h, kept)
             looked = self._books.look()
         except UnitCallError as error:
             if self._books.estimated or error.status is None:  # its words and no remedy of ours
@@ -100,6 +102,22 @@ class UnitSteps:
             self._books.book(h, looked)
             return reached
         return self._part(t, h, reached, looked)
+
+    def _over(self, t: float, h: float, kept: bool) -> float:
+        """The step itself, in two parts where that is asked for; the time reached.
+
+        Both parts are told the same: what no state of a time before it is restored to is the step.
+        """
+        if not self.in_parts:
+            reached, self.ended = self._slave.do_step(t, h, kept)
+            return reached
+        third, end = t + h / 3, t + h
+        reached, self.ended = self._slave.do_step(t, third - t, kept)
+        if self.ended or abs(reached - third) > ROUNDING * h:
+            return reached
+        self._books.within(self._books.look())
+        reached, self.ended = self._slave.do_step(third, end - third, kept)
+        return end if abs(reached - end) <= ROUNDING * h else reached
 
     def _part(self, t: float, h: float, reached: float, looked: Array) -> float:
         """The part of a step that ended before its end."""

@@ -252,6 +252,7 @@ class Embedded:
         numbers = {
             "saves": int(about.saves), "serialises": int(about.saves and about.serialises),
             "no_set_prior": int(self.unit.steps.no_set_prior is not False),
+            "in_parts": int(self.unit.steps.in_parts),
             "tolerance_told": int(self.file.tolerance is not None), "tolerance": number(self.file.tolerance or 0.0),
             "nu": nu, "np": len(self.settable), "ntyped": len(self.typed), "nother": len(self.told) - len(own),
             "nlooked": len(outputs), "nwatched": len(watched), "ntaken": len(self.taken),

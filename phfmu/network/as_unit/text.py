@@ -153,7 +153,7 @@ const ph_network ph_the_network = {{
     .members = members,
     .master = {m},
     .solver = ph_solver_{master.solver},
-{memory}    .rules = {{.held = {int(rules["held"])}, .iterations = {rules["iterations"]}}},
+{memory}    .rules = {{{_rules(rules)}}},
     .nroom = {len(rooms)},
     .rooms = rooms,
 {held}    .signals = {len(whole.joined.face.names)},
@@ -172,6 +172,12 @@ def _held(tables: Tables, master: Master) -> str:
         tables.arrays.append(_rooms("held_rooms", rooms))
         return f"    .held = {own},\n    .nheld = {len(rooms)},\n    .held_rooms = held_rooms,\n"
     return ""
+
+
+def _rules(rules: Mapping[str, Any]) -> str:
+    """Fields of `ph_rules` of a coupling that iterates."""
+    whole = ", ".join(f".{name} = {int(rules[name])}" for name in ("held", "iterations", "accept"))
+    return f"{whole}, .repeated = {number(float(rules['repeated']))}"
 
 
 def _memory(tables: Tables, master: Master) -> str:

@@ -73,7 +73,7 @@ class Coupled:
         self._signals_are: SignalExchange = signals
         self.joined = Joined(network, members)
         self.coupling = coupling(self.joined) if callable(coupling) else coupling
-        closes = self.coupling.closes and not self.joined.put_off
+        closes = self.coupling.closes and not self.joined.put_off and not self.joined.repeated
         self._growth = None if closes else Growth(self.joined)
         face, inner = self.joined.face, plain(self.coupling)
         self.last = Solution(face.start.copy())
@@ -109,6 +109,20 @@ class Coupled:
     def _all_back(self, saved: tuple[list[Any], Solution]) -> None:
         states, self.last = saved
         self.joined.restore(states)
+
+    def kept(self) -> tuple[Any, ...]:
+        """Where all are, to which `back` brings them after a step; all members save their states."""
+        growth = self._growth and (self._growth.known, self._growth.had)
+        return self.joined.states(), self.last, self._signals.state(), growth, self._at_start
+
+    def back(self, kept: tuple[Any, ...]) -> None:
+        """All members, junction unknowns and signals as they were kept."""
+        states, self.last, samples, growth, self._at_start = kept
+        self.joined.restore(states)
+        self._signals.restore(samples)
+        self._sums.forget()
+        if self._growth is not None:
+            self._growth.known, self._growth.had = growth
 
     def notes(self) -> list[str]:
         """Lines about the run so far: signals that grow without bound, steps in which they did not agree."""

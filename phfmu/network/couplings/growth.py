@@ -20,7 +20,7 @@ class Growth:
     Units whose energy is estimated count from zero: what they gave at most is what they had, or have from inside.
     """
 
-    CARRIED = ("known", "_had")
+    CARRIED = ("known", "had")
 
     def __init__(self, joined: Joined):
         self._joined = joined
@@ -28,7 +28,7 @@ class Growth:
         self._outer = [i for i, p in enumerate(ports) if p.junction is None]
         self._inner = [i for i, p in enumerate(ports) if p.junction is not None]
         self._estimated = [c in joined.booking.estimated for c in joined.booking.components]
-        self.known, self._had = 0.0, 0.0
+        self.known, self.had = 0.0, 0.0
 
     def given(self, H: Array) -> None:
         """Energies at the start, or what an event changed in them."""
@@ -48,8 +48,8 @@ class Growth:
         total = float(np.abs(H).sum())
         poor = [m.name for m in self._joined.put_off if m.missed > POOR]
         if not poor:  # what such a unit seems to give is an artefact
-            self._had = max(self._had, float(-H[self._estimated].clip(max=0.0).sum()))
-        known_here = known + self._had
+            self.had = max(self.had, float(-H[self._estimated].clip(max=0.0).sum()))
+        known_here = known + self.had
         if not total <= LIMIT * known_here and (known_here or not any(self._estimated)):
             made = float(pairs[self._inner].sum())
             raise StepFailure(

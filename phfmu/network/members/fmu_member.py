@@ -89,12 +89,13 @@ class FMUMember:
     """A member of a coupled network that is an FMU, of this package or of another tool.
 
     finishes: it keeps nothing of the steps that are repeated, so the accepted one is taken once more, for good.
+    repeated: how much steps that it takes again differ, relative to its outputs (`Rollback.repeated`).
     """
 
     CARRIED = ("unit", "booking", "_u", "_given", "_moved", "_length")
 
-    def __init__(self, name: str, unit: FMUInstance, finishes: bool = False):
-        self.name, self.unit, self.finishes = name, unit, finishes
+    def __init__(self, name: str, unit: FMUInstance, finishes: bool = False, repeated: float = 0.0):
+        self.name, self.unit, self.finishes, self.repeated = name, unit, finishes, repeated
         #: signals that it exchanges at the nodes of its steps, behind its ports
         signals = unit.interface.taken, unit.interface.sent
         self.taken = {n: unit.nu + i for i, n in enumerate(signals[0])}
@@ -320,7 +321,7 @@ class FMUMember:
             return ""
         from phfmu.network.members.rollback import unsteady
 
-        return unsteady(self.unit, h)
+        return unsteady(self.unit, h, self.repeated)
 
     def hashed(self) -> dict[str, float]:
         """States and time of a unit of this package; of another tool, all values that may change."""

@@ -20,6 +20,12 @@ from phfmu.outcome.status import EndRequested
 Array = NDArray[np.float64]
 
 MOVE = 1e-3  # of an input, relative to itself and its nominal value
+#: where outputs may be told late: the same of an input, parts of a step, of drifts, of outputs of steps in one part and in two
+FAR, SHORT, LATE, SAME_IN_PARTS = 0.1, 1e-4, 10.0, 1e-2
+#: trials of a step that is taken again and again, how much more all of them may differ than the first half of them (what goes on
+#: from trial to trial: twice), the most that they may differ, and how much more is expected of other steps
+AGAIN, STAYS, NEAR, MARGIN = 24, 1.25, 1e-3, 3.0
+NEARLY = "takes steps again to a relative {:.1g} only, however often, as solvers with steps of their own do"
 REPEATS = 1e-9  # values that differ by less, relative to the largest of the variable, are taken again well enough
 
 
@@ -43,12 +49,14 @@ WAYS = (Way(True), Way(False), Way(False, once_more=True))
 @dataclass(frozen=True)
 class Rollback:
     """`works`: the couplings that repeat steps may do so, in this `way`; `words`: what is wrong, or not as it should be; else
-    empty.
+    empty.  `late`: what `tells_late` said.  `repeated`: the relative difference that steps taken again may have, 0: rounding.
     """
 
     works: bool
     words: str = ""
     way: Way = WAYS[0]
+    late: bool = False
+    repeated: float = 0.0
 
 
 def try_rollback(make: Callable[[], FMUInstance], h: float) -> Rollback:
@@ -69,7 +77,34 @@ def try_rollback(make: Callable[[], FMUInstance], h: float) -> Rollback:
             tried.append(_try(unit, h, way, straight))
         if tried[-1].works:
             return tried[-1]
+    for way in WAYS[:2]:
+        with make() as unit:
+            if (left := _wanders(unit, h, way)) > 0.0:
+                return Rollback(True, NEARLY.format(left), way, repeated=MARGIN * left)
     return tried[0]
+
+
+def _wanders(unit: FMUInstance, h: float, way: Way) -> float:
+    """The largest relative difference of a step that is taken again and again, if it is small and stays as it is; else 0.
+
+    Solvers inside a unit may keep the length of their last step, which is in no saved state: steps taken again differ by less
+    than these solvers' own error, however often.  What a unit has forgotten of its state goes on from trial to trial instead.
+    """
+    steps = _Steps(unit, h, way)
+    try:
+        steps.accept(0, steps.u)
+        steps.begin()
+        found = []
+        for _ in range(AGAIN):
+            found.append(steps.take(1, steps.moved))
+            steps.back()
+    except (UnitCallError, UnitFailure, EndRequested):
+        return 0.0
+    values = np.array(found)
+    size = np.maximum(np.abs(values).max(axis=0), np.finfo(float).tiny)
+    half, whole = (np.ptp(v, axis=0) / size for v in (values[: AGAIN // 2], values))
+    left = float(whole.max())
+    return left if (whole <= STAYS * half + REPEATS).all() and left <= NEAR else 0.0
 
 
 def _try(unit: FMUInstance, h: float, way: Way, straight: list[Array]) -> Rollback:
@@ -130,8 +165,8 @@ class _Steps:
         return found
 
 
-def unsteady(unit: FMUInstance, h: float) -> str:
-    """The difference when a step of length h is taken twice from here, in words; "" if there is none, or not much.
+def unsteady(unit: FMUInstance, h: float, repeated: float = 0.0) -> str:
+    """The difference when a step of length h is taken twice from here, in words; "" if it is at most `repeated`.
 
     The unit is back afterwards, as far as it can.
     """
@@ -143,16 +178,16 @@ def unsteady(unit: FMUInstance, h: float) -> str:
         unit.do_step(t, h)
         found.append(np.concatenate([unit.get(names), unit.output()]))
     unit.set_state(state)
-    judged = _judged([*names, *(f"mean of {n}" for n in unit.outputs)], *found)
+    judged = _judged([*names, *(f"mean of {n}" for n in unit.outputs)], *found, most=max(repeated, REPEATS))
     return "" if judged.works else judged.words
 
 
-def _judged(names: list[str], first: Array, again: Array, how: str = REPEATED) -> Rollback:
+def _judged(names: list[str], first: Array, again: Array, how: str = REPEATED, most: float = REPEATS) -> Rollback:
     if np.array_equal(first, again, equal_nan=True):
         return Rollback(True)
     change = np.abs(again - first) / np.maximum(np.maximum(np.abs(first), np.abs(again)), np.finfo(float).tiny)
     i = int(np.argmax(np.nan_to_num(change, nan=np.inf)))
-    if change[i] <= REPEATS:
+    if change[i] <= most:
         return Rollback(True, f"restores its state to a relative {change[i]:.1g} only (worst: {names[i]})")
     told = f"{how} ends with {names[i]} = {again[i]:.9g}, not {first[i]:.9g}"
     return Rollback(False, f"does not restore its state: {told}")
@@ -179,6 +214,46 @@ def response(make: Callable[[], FMUInstance], h: float) -> tuple[Array, Array]:
     return base, G
 
 
-def _moved(unit: FMUInstance, u: Array) -> Array:
+def tells_late(make: Callable[..., FMUInstance], h: float) -> bool:
+    """Whether outputs of ports follow inputs at once, but are told so only after a step, and steps may be taken in two parts.
+
+    Many libraries compute outputs within doStep only.  What they tell at the start of a step belongs to the inputs of the step
+    before then, and the mean of it and of the output at the end would be of first order.  Here all inputs change after a step
+    of length h: what a short step makes of the outputs beside their drift, and reading them before it did not, is told late.
+    Parts are not taken where they end with other outputs than the whole step, as in units with steps of their own inside.
+    """
+    try:
+        with make() as unit:
+            if unit.interface.one_step or not unit.nu or unit.rated:
+                return False
+            short, names = SHORT * h, unit.outputs
+            u = unit.start_inputs()
+            unit.set_input(u)
+            unit.do_step(unit.time, h)
+            unit.set_input(_moved(unit, u, FAR))
+            at = [unit.get(names)]
+            for _ in range(2):
+                unit.do_step(unit.time, short)
+                at.append(unit.get(names))
+            drift = np.abs(at[2] - at[1])
+            jump = np.abs(at[1] - at[0]) - drift
+            if not (jump > LATE * drift + REPEATS * np.abs(at[1])).any():
+                return False
+        ends = [_end(make, h, in_parts) for in_parts in (False, True)]
+    except (UnitCallError, UnitFailure, EndRequested):
+        return False
+    size = np.maximum(np.abs(ends[0]), np.abs(ends[1]))
+    return bool((np.abs(ends[1] - ends[0]) <= SAME_IN_PARTS * size).all())
+
+
+def _end(make: Callable[..., FMUInstance], h: float, in_parts: bool) -> Array:
+    """Outputs of ports after a first step."""
+    with make(in_parts=in_parts) as unit:
+        unit.set_input(unit.start_inputs())
+        unit.do_step(unit.time, h)
+        return unit.get(unit.outputs)
+
+
+def _moved(unit: FMUInstance, u: Array, part: float = MOVE) -> Array:
     nominal = np.abs(unit.input_sign) * np.array([unit.variable(n).nominal for n in unit.inputs])
-    return u + MOVE * (np.abs(u) + nominal)
+    return u + part * (np.abs(u) + nominal)

@@ -78,7 +78,7 @@ static int init(void *memory, const void *about) {
     ph_places(&s, e->offset);
     e->nvalue = 1 + e->offset[PH_NBLOCK] + rows_of(a) + a->np + a->nu + a->nlooked + a->nu;
     e->memory = calloc((size_t)(2 * e->nvalue + a->input.nvalue + a->looked.nvalue + a->told.nvalue +
-                                a->sent.nvalue + a->nlooked + a->nu + 1),
+                                a->sent.nvalue + 2 * a->nlooked + a->nu + 1),
                        sizeof(double));
     e->readers = calloc((size_t)a->nother + 1, sizeof(*e->readers));
     if (!e->memory || !e->readers)
@@ -98,6 +98,7 @@ static int init(void *memory, const void *about) {
     furnish(&e->told, &a->told, &place);
     furnish(&e->sent, &a->sent, &place);
     e->now = taken(&place, a->nlooked);
+    e->third = taken(&place, a->nlooked);
     e->again = taken(&place, a->nu);
     e->unit.version = e->standard->version();
     e->unit.functions = &e->functions;

@@ -75,6 +75,7 @@ typedef struct ph_embedded_about {
     const ph_standard *(*standard)(void);
     int saves, serialises;
     int no_set_prior;   /* what trials are told as noSetFMUStatePriorToCurrentPoint */
+    int in_parts;       /* whether a step is taken in two parts, of a third and two thirds */
     int tolerance_told; /* whether the tolerance is defined */
     double tolerance;   /* relative, of the experiment */
     int nu, np, ntyped, nother, nlooked, nwatched, ntaken;
@@ -126,6 +127,7 @@ typedef struct ph_embedded_unit {
     double *supplied;
     double *kept;  /* nvalue; work, as all below */
     double *now;   /* nlooked */
+    double *third; /* nlooked: at a third of the step */
     double *again; /* nu */
     ph_scalars input, looked, told, sent;
     int offset[PH_NBLOCK + 1];

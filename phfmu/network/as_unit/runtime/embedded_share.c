@@ -15,14 +15,16 @@ static double sum(const double *values, int n) {
 }
 
 /* Energy that the held inputs supplied in a step of length h, by the change of what the outputs are the rates
- * of, else by the trapezoid of the outputs; `after`: at its end. */
+ * of, else by the trapezoid of the outputs, or by Radau's rule of a step in parts; `after`: at its end. */
 static void book(ph_embedded_unit *e, double h, const double *after) {
     const ph_embedded_about *a = e->about;
     double *mean = e->table + e->offset[PH_Y_STEP], *through = e->table + e->offset[PH_ENERGY];
     double *pair = e->row[PH_ROW_PAIRS], supplied;
     for (int i = 0; i < a->nu; i++) {
         const int q = a->rate[i];
-        mean[i] = q >= 0 && h != 0.0 ? (after[q] - e->after[q]) / h : (e->after[i] + after[i]) / 2.0;
+        mean[i] = a->in_parts ? 0.75 * e->third[i] + 0.25 * after[i] : (e->after[i] + after[i]) / 2.0;
+        if (q >= 0 && h != 0.0)
+            mean[i] = (after[q] - e->after[q]) / h;
         pair[i] = h * (a->input.sign[i] * e->given[i]) * mean[i];
     }
     memcpy(e->after, after, sizeof(double) * (size_t)a->nlooked);
@@ -56,6 +58,18 @@ static int restore(const ph_share *s) {
     return back(s->of);
 }
 
+/* The step itself, in two parts where that is asked for. */
+static int over(ph_embedded_unit *e, double t, double h) {
+    const double third = t + h / 3;
+    int status;
+    if (!e->about->in_parts)
+        return ph_embedded_asked(e, e->unit.version->step(&e->unit, t, h));
+    status = ph_embedded_asked(e, e->unit.version->step(&e->unit, t, third - t));
+    if (status == PH_OK)
+        status = ph_embedded_look(e, e->third);
+    return status ? status : ph_embedded_asked(e, e->unit.version->step(&e->unit, third, t + h - third));
+}
+
 /* Under the inputs that it has. */
 static int advance(ph_embedded_unit *e, double t, double h) {
     double *looked = e->now;
@@ -68,7 +82,7 @@ static int advance(ph_embedded_unit *e, double t, double h) {
         return status;
     e->moved = 1;
     fegetenv(&arithmetic);
-    status = ph_embedded_asked(e, e->unit.version->step(&e->unit, t, h));
+    status = over(e, t, h);
     fesetenv(&arithmetic);
     if (status == PH_OK)
         status = ph_embedded_look(e, looked);

@@ -403,7 +403,9 @@ class Master:
 
     def _rules(self) -> dict[str, Any]:
         solver = self._solver
-        return {"held": solver.held, "iterations": solver.iterations, "sweeps": solver.sweeps, "accept": self._keeps}
+        repeated = self.joined.repeated
+        trials = {"held": solver.held, "iterations": solver.iterations, "sweeps": solver.sweeps}
+        return trials | {"accept": self._keeps or repeated > 0.0, "repeated": repeated}
 
     def _values(self) -> dict[str, Any]:
         e, p, n = self.found, self._pattern, self.found.size

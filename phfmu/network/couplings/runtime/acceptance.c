@@ -15,6 +15,10 @@ int ph_coupled_asks_energy(const ph_rules *r, const ph_progress *p) {
 }
 
 int ph_coupled_accepted(const ph_rules *r, const ph_progress *p, int floor, int left) {
+    if (p->scaled <= r->repeated)
+        return PH_BY_FLOOR;
+    if (r->repeated > 0.0 && p->stalls >= PH_COUPLED_STALLS && p->scaled <= PH_COUPLED_NEARLY)
+        return PH_BY_FLOOR;
     if (p->stalled && ((p->matrices > 0 && floor) || p->resting))
         return PH_BY_FLOOR;
     if (left == PH_TOO_MUCH || (left == PH_WHERE_STALLED && !(r->held && p->stalled)))

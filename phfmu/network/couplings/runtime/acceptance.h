@@ -30,6 +30,9 @@
 /* So many stalls within the energy, with a matrix taken after the first, and what is left is rounding. */
 #define PH_COUPLED_STALLS 3
 
+/* The same where members do not take a step again to rounding, whose rows are this part of their terms. */
+#define PH_COUPLED_NEARLY 1e-2
+
 /* Units of rounding in a row or in a move of an unknown that cannot be told from zero. */
 #define PH_COUPLED_FLOOR 16
 
@@ -40,8 +43,10 @@
 typedef struct ph_rules {
     int held;
     int iterations;
-    int sweeps; /* so many trials are the step, whatever they leave; 0: these rules decide */
-    int accept; /* of a step that does not converge the trial that left the least is kept */
+    int sweeps;      /* so many trials are the step, whatever they leave; 0: these rules decide */
+    int accept;      /* of a step that does not converge the trial that left the least is kept */
+    double repeated; /* scaled residual that members make which take a step again to so much only, 0: to
+                        rounding */
 } ph_rules;
 
 /* How an iteration went so far; all zero before the first trial. */

@@ -117,9 +117,10 @@ static int repeated(const ph_master *m, const ph_share *s) {
 }
 
 /* dy and dend by one-sided differences, of a step of which the member knows no derivatives; it ends as it
- * was. */
+ * was. They are longer where steps are not repeated to rounding. */
 static int differences(const ph_master *m, const ph_share *s) {
     const int kn = s->k * s->nu, all = s->ninput + 2 * s->nbare;
+    const double part = fmax(PH_SHARE_MOVE, sqrt(m->rules->repeated));
     int status = PH_OK;
     for (int i = 0; s->nkick && i < s->nu; i++)
         s->y[kn + i] = s->end[i];
@@ -129,9 +130,9 @@ static int differences(const ph_master *m, const ph_share *s) {
         double *x = d < s->ninput ? s->u + s->input[d] : s->s + second * s->nkick + s->kicked[kick];
         const double kept = *x;
         if (d < s->ninput)
-            *x += PH_SHARE_MOVE * (s->nominal[s->input[d] % s->nu] + fabs(kept));
+            *x += part * (s->nominal[s->input[d] % s->nu] + fabs(kept));
         else
-            *x += PH_SHARE_MOVE * m->length * s->nominal[s->kicked_output[kick]];
+            *x += part * m->length * s->nominal[s->kicked_output[kick]];
         const double move = *x - kept;
         status = repeated(m, s);
         *x = kept;
