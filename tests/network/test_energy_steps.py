@@ -89,7 +89,10 @@ def test_the_weakest_junction_counts_too(tmp_path: Path) -> None:
         folder(tmp_path, more=SMALL), "pair.py", "--coupling", "newton", "--order", "2", "--energy-rtol", "1e-4"
     )
     exact = speed(rows["time"], 1e-6, 1e-6, 2e-3, 1e-3)
-    assert np.abs(rows["light.v"] - exact).max() < 0.1 * np.abs(exact).max()
+    turned = np.sqrt(2e-3 * 2e6) * np.diff(rows["time"])  # by the light pair in each step
+    late = np.sum(turned - 2.0 * np.arctan(turned / 2.0))  # what steps of the midpoint rule turn less
+    assert np.abs(rows["light.v"] - exact).max() < 1.1 * late * np.abs(exact).max() and late < 0.5
+    assert np.median(turned) < 0.2
     alone = rows_of(folder(tmp_path), "pair.py", "--coupling", "newton", "--order", "2", "--energy-rtol", "1e-4")
     assert len(rows) > 2 * len(alone)
 
