@@ -50,7 +50,9 @@ A fault that the energies cannot show in principle is drawn again, by these rule
 members without books: what they leave out, it would not name. They are counted for that reason. A gain, a sign or a delay of a
 signal without power, such as a set point, is in no energy, and not in the campaign.
 
-Seed 1 is the one whose misses were looked at when the rules of `--why` were made.
+Seed 1 is the one whose misses were looked at when the rules of `--why` were made. Of 200 cases of each of the seeds 1 and 2
+at least 190 are hits, and at most 2 name an innocent one, or one in a run without a fault:
+`pytest -m long tests/audit/test_planted_faults.py`.
 
     phfmu bench blame {arguments} -o docs/results/blame.md
 """
