@@ -15,9 +15,9 @@ int ph_coupled_asks_energy(const ph_rules *r, const ph_progress *p) {
 }
 
 int ph_coupled_accepted(const ph_rules *r, const ph_progress *p, int floor, int left) {
-    if (p->scaled <= r->repeated)
-        return PH_BY_FLOOR;
-    if (r->repeated > 0.0 && p->stalls >= PH_COUPLED_STALLS && p->scaled <= PH_COUPLED_NEARLY)
+    const int resolved =
+        p->scaled <= r->repeated || (p->stalls >= PH_COUPLED_STALLS && p->scaled <= PH_COUPLED_NEARLY);
+    if (r->repeated > 0.0 && resolved)
         return PH_BY_FLOOR;
     if (p->stalled && ((p->matrices > 0 && floor) || p->resting))
         return PH_BY_FLOOR;
