@@ -26,15 +26,15 @@
 
 /* The larger; NaN where a is not a number. */
 static inline ph_real ph_most(ph_real a, ph_real b) {
-    return ph_where(b > a, b, a);
+    return PH_REAL_WHERE(b > a, b, a);
 }
 
 /* Energies in play in a step: `inside` the component, and `pairs`, the sum of |energy| through its port
  * pairs. */
 static inline ph_real ph_in_play(ph_real inside, ph_real stored, ph_real supplied, ph_real dissipated,
                                  ph_real numerical, ph_real pairs) {
-    return ph_most(ph_abs(inside), ph_abs(stored)) + ph_abs(supplied) + ph_abs(dissipated) +
-           ph_abs(numerical) + pairs;
+    return ph_most(PH_REAL_ABS(inside), PH_REAL_ABS(stored)) + PH_REAL_ABS(supplied) +
+           PH_REAL_ABS(dissipated) + PH_REAL_ABS(numerical) + pairs;
 }
 
 /* What a residual may be in a step; `reach`: the most in play so far, the sum of the changes of H included;
@@ -45,7 +45,7 @@ static inline ph_real ph_allowed(double rtol, ph_real in_play, ph_real reach, ph
 
 /* What the sum of the residuals may be; `squares`: the sum of the squares of what the steps are allowed. */
 static inline ph_real ph_allowed_in_run(ph_real squares) {
-    return PH_RUN * ph_sqrt(squares);
+    return PH_RUN * PH_REAL_SQRT(squares);
 }
 
 /* How far H may be from what is booked of it, beside what is allowed in the step; `largest`: |H| so far,
@@ -56,7 +56,7 @@ static inline ph_real ph_rounding_of_H(ph_real largest, ph_real turnover) {
 
 /* |size| / allowed, 0 for 0/0. */
 static inline ph_real ph_share(ph_real size, ph_real allowed) {
-    return ph_where(size == 0.0, ph_spread(0.0), ph_abs(size) / allowed);
+    return PH_REAL_WHERE(size == 0.0, PH_REAL_SPREAD(0.0), PH_REAL_ABS(size) / allowed);
 }
 
 #endif

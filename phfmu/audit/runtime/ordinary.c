@@ -41,7 +41,7 @@ static ph_row begun(const ph_accounts *b) {
     const size c = b->c, m = b->junctions;
     ph_real *s = b->scratch, *j = s + 7 * c;
     for (size i = 0; i < 7 * (c + m); i++)
-        s[i] = ph_spread(0.0);
+        s[i] = PH_REAL_SPREAD(0.0);
     return (ph_row){.through = s,
                     .played = s + c,
                     .residual = s + 2 * c,
@@ -62,7 +62,7 @@ static ph_row begun(const ph_accounts *b) {
 static void take_pairs(const ph_accounts *b, const ph_real *pairs, ph_row *r) {
     const ph_sums made = {r->made, r->made_low}, moved = {r->moved, r->moved_low};
     for (size j = 0; j < b->q; j++) {
-        const ph_real x = pairs[j], a = ph_abs(x);
+        const ph_real x = pairs[j], a = PH_REAL_ABS(x);
         add(b->of_port, b->port[j], x);
         r->pairs += a;
         if (b->owner[j] >= 0) {
@@ -83,12 +83,12 @@ static void take_components(const ph_accounts *b, size i, ph_row *r) {
     for (size k = 0; k < b->c; k++) {
         const size at = i * b->c + k;
         const ph_real stored = b->stored[at], dissipated = b->dissipated[at], supplied = b->supplied[at];
-        const ph_real gone = b->numerical ? b->numerical[at] : ph_spread(0.0);
-        r->H[k] = ph_most(ph_abs(b->H0[at]), ph_abs(b->H[at]));
+        const ph_real gone = b->numerical ? b->numerical[at] : PH_REAL_SPREAD(0.0);
+        r->H[k] = ph_most(PH_REAL_ABS(b->H0[at]), PH_REAL_ABS(b->H[at]));
         r->residual[k] = stored + dissipated + gone - supplied;
         const ph_real inside = b->moved ? b->moved[at] : b->varying[at];
         r->in_play[k] = ph_in_play(inside, stored, supplied, dissipated, gone, r->played[k]);
-        b->stirred[k] = ph_most(b->stirred[k], ph_most(ph_abs(inside), ph_abs(stored)));
+        b->stirred[k] = ph_most(b->stirred[k], ph_most(PH_REAL_ABS(inside), PH_REAL_ABS(stored)));
         add(b->of_dissipated, k, dissipated);
         add(b->of_supplied, k, supplied);
         add(b->of_stored, k, stored);
@@ -99,10 +99,10 @@ static void take_components(const ph_accounts *b, size i, ph_row *r) {
             add(b->of_numerical, k, gone);
             more(&r->numerical, gone);
         }
-        const ph_real sum = ph_abs(b->of_stored.high[k] + b->of_stored.low[k]);
+        const ph_real sum = PH_REAL_ABS(b->of_stored.high[k] + b->of_stored.low[k]);
         b->reach[k] = ph_most(b->reach[k], ph_most(r->in_play[k], sum));
         b->largest[k] = ph_most(b->largest[k], r->H[k]);
-        b->turnover[k] += b->moved ? ph_abs(b->moved[at]) : ph_spread(0.0);
+        b->turnover[k] += b->moved ? PH_REAL_ABS(b->moved[at]) : PH_REAL_SPREAD(0.0);
         r->reach += b->reach[k];
         r->energy += b->varying[at];
     }
@@ -111,8 +111,8 @@ static void take_components(const ph_accounts *b, size i, ph_row *r) {
 /* Whether |x| is allowed; if not, its share is kept. */
 static ph_truth within(ph_accounts *b, ph_real x, ph_real allowed) {
     const ph_real share = ph_share(x, allowed);
-    const ph_truth fits = ph_abs(x) <= allowed;
-    b->violated = ph_where(PH_NOT(fits) & PH_NOT(share <= b->violated), share, b->violated);
+    const ph_truth fits = PH_REAL_ABS(x) <= allowed;
+    b->violated = PH_REAL_WHERE(PH_NOT(fits) & PH_NOT(share <= b->violated), share, b->violated);
     return fits;
 }
 
@@ -122,24 +122,24 @@ static ph_truth judge_components(ph_accounts *b, size i, const ph_row *r) {
     for (size k = 0; k < b->c; k++) {
         const size at = i * b->c + k;
         const ph_real dissipated = b->dissipated[at], supplied = b->supplied[at],
-                      residual = ph_abs(r->residual[k]);
-        const ph_real relation = ph_where(b->stirred[k] == 0.0, r->reach, ph_spread(0.0));
-        const ph_real in_step = ph_allowed(b->rtol, r->in_play[k], b->reach[k], ph_spread(0.0));
+                      residual = PH_REAL_ABS(r->residual[k]);
+        const ph_real relation = PH_REAL_WHERE(b->stirred[k] == 0.0, r->reach, PH_REAL_SPREAD(0.0));
+        const ph_real in_step = ph_allowed(b->rtol, r->in_play[k], b->reach[k], PH_REAL_SPREAD(0.0));
         const ph_real allowed = ph_allowed(b->rtol, r->in_play[k], b->reach[k], b->varying[at] + relation);
         const ph_real permitted = in_step + ph_rounding_of_H(b->largest[k], b->turnover[k]);
         const ph_real between = b->H0[at] - (i ? b->H[at - b->c] : b->before[k]);
         const ph_real changed = b->H[at] - b->H0[at] - b->stored[at];
         if (b->judged[k]) {
             fine &= residual <= allowed;
-            fine &= within(b, ph_where(dissipated < 0.0, dissipated, ph_spread(0.0)), allowed);
+            fine &= within(b, PH_REAL_WHERE(dissipated < 0.0, dissipated, PH_REAL_SPREAD(0.0)), allowed);
             fine &= within(b, supplied - r->through[k], allowed);
         }
         fine &= within(b, between, permitted) & within(b, changed, permitted);
         fine &= (allowed > 0.0) | (residual == 0.0);
         const ph_real found = ph_share(residual, allowed);
         const ph_truth worse = found > b->worst[k];
-        b->worst[k] = ph_where(worse, found, b->worst[k]);
-        b->worst_residual[k] = ph_where(worse, r->residual[k], b->worst_residual[k]);
+        b->worst[k] = PH_REAL_WHERE(worse, found, b->worst[k]);
+        b->worst_residual[k] = PH_REAL_WHERE(worse, r->residual[k], b->worst_residual[k]);
 #ifndef PH_WIDTH /* those of several runs are not told */
         if (worse)
             b->worst_row[k] = i;
@@ -157,10 +157,10 @@ static void take_parts(const ph_accounts *b, const ph_real *works, const ph_row 
     for (size j = 0; j < b->parts; j++) {
         const size at = b->part_junction[j];
         add(b->of_part, j, works[j]);
-        b->worst_part[j] = ph_most(b->worst_part[j], ph_abs(works[j]));
+        b->worst_part[j] = ph_most(b->worst_part[j], PH_REAL_ABS(works[j]));
         r->divided[at] += works[j];
         if (b->projection[j])
-            r->lost[at] = ph_where(works[j] < 0.0, r->lost[at] + works[j], r->lost[at]);
+            r->lost[at] = PH_REAL_WHERE(works[j] < 0.0, r->lost[at] + works[j], r->lost[at]);
     }
 }
 
@@ -172,26 +172,26 @@ static ph_truth take_junctions(const ph_accounts *b, const ph_row *r, across *ma
         const ph_real exchanged = 0.5 * (r->moved[j] + r->moved_low[j]), passed = 2.0 * exchanged;
         b->passed[j] = ph_most(b->passed[j], passed);
         const ph_real rounding = ULPS * r->reach + ULPS * ULPS * r->energy;
-        const ph_real permitted = ph_allowed(b->rtol, passed, b->passed[j], ph_spread(0.0)) + rounding;
-        fine &= b->loose ? PH_TRUE : ph_abs(created - r->lost[j]) <= permitted;
+        const ph_real permitted = ph_allowed(b->rtol, passed, b->passed[j], PH_REAL_SPREAD(0.0)) + rounding;
+        fine &= b->loose ? PH_TRUE : PH_REAL_ABS(created - r->lost[j]) <= permitted;
         r->lost[j] = permitted;
         r->created[j] = created;
         add(b->of_junction, j, created);
         add(b->exchanged, j, exchanged);
-        add(b->created, j, ph_abs(created));
-        b->worst_junction[j] = ph_most(b->worst_junction[j], ph_abs(created));
+        add(b->created, j, PH_REAL_ABS(created));
+        b->worst_junction[j] = ph_most(b->worst_junction[j], PH_REAL_ABS(created));
         more(made, created);
     }
     for (size j = 0; j < b->parts; j++) {
         const size at = b->part_junction[j];
-        fine &= ph_abs(r->created[at] - r->divided[at]) <= r->lost[at];
+        fine &= PH_REAL_ABS(r->created[at] - r->divided[at]) <= r->lost[at];
     }
     return fine;
 }
 
 /* Sums of the network; whether it closes. */
 static ph_truth take_network(ph_accounts *b, const ph_row *r, across made) {
-    ph_real missed = ph_spread(0.0);
+    ph_real missed = PH_REAL_SPREAD(0.0);
     for (size k = 0; k < b->c; k++)
         missed += r->allowed[k];
     const ph_real dH = value(r->dH), dissipated = value(r->dissipated), numerical = value(r->numerical);
@@ -204,13 +204,13 @@ static ph_truth take_network(ph_accounts *b, const ph_row *r, across made) {
     add(b->unexplained, 0, left);
     const ph_real permitted = missed + ULPS * r->pairs;
     add(b->left, 0, permitted * permitted);
-    b->worst_unexplained = ph_most(b->worst_unexplained, ph_abs(left));
-    return ph_abs(left) <= permitted;
+    b->worst_unexplained = ph_most(b->worst_unexplained, PH_REAL_ABS(left));
+    return PH_REAL_ABS(left) <= permitted;
 }
 
 ph_truth ph_account(ph_accounts *b, size i) {
     ph_row r = begun(b);
-    across made = {ph_spread(0.0), ph_spread(0.0)};
+    across made = {PH_REAL_SPREAD(0.0), PH_REAL_SPREAD(0.0)};
     ph_truth fine;
     take_pairs(b, b->pairs + i * b->q, &r);
     take_components(b, i, &r);
@@ -227,8 +227,8 @@ ph_real ph_worst_share(const ph_accounts *b) {
         const ph_real missed = b->missed.high[k] + b->missed.low[k];
         const ph_real squares = b->squares.high[k] + b->squares.low[k];
         const ph_real in_run = ph_share(missed, ph_allowed_in_run(squares));
-        most = ph_where(PH_NOT(b->worst[k] <= most), b->worst[k], most);
-        most = ph_where(PH_NOT(in_run <= most), in_run, most);
+        most = PH_REAL_WHERE(PH_NOT(b->worst[k] <= most), b->worst[k], most);
+        most = PH_REAL_WHERE(PH_NOT(in_run <= most), in_run, most);
     }
     return most;
 }

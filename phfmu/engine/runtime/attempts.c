@@ -17,7 +17,7 @@ static double power(double base, int n) {
 static void start_guess(ph_system *s, const ph_real *known, double ratio) {
     const ph_plan *p = s->plan;
     for (int i = 0; i < p->nw; i++) {
-        ph_real sum = ph_spread(0.0);
+        ph_real sum = PH_REAL_SPREAD(0.0);
         for (int l = p->guess_ptr[i]; l < p->guess_ptr[i + 1]; l++)
             sum += p->guess_val[l] * known[p->guess_idx[l]] * power(ratio, p->guess_pow[l]);
         s->y[i] = sum;

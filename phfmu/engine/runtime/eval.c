@@ -13,7 +13,7 @@ static void powers(const double *hp, const double *value, const signed char *pow
 /* Coefficients depend on h only: multiplied once per step size, not once per evaluation. */
 void ph_eval_h(ph_system *s, double h) {
     const ph_plan *p = s->plan;
-    s->y[p->nv - 1] = ph_spread(h);
+    s->y[p->nv - 1] = PH_REAL_SPREAD(h);
     if (h == s->hp[1])
         return;
     s->hp[0] = 1.0;
@@ -28,7 +28,7 @@ void ph_eval_h(ph_system *s, double h) {
     for (int l = 0; l < p->nfixed; l++)
         s->fixed[p->fixed_entry[l]] += p->fixed_value[l] * s->hp[p->fixed_power[l]];
     for (int e = 0; e < p->nnz; e++)
-        s->a[e] = ph_spread(s->fixed[e]);
+        s->a[e] = PH_REAL_SPREAD(s->fixed[e]);
 }
 
 /* w = 0 exactly, whatever rounding the factor leaves. */
@@ -36,7 +36,7 @@ static void rest_unknowns(ph_system *s) {
     const ph_plan *p = s->plan;
     for (int c = 0; c < p->nhold; c++)
         for (int q = p->hold_ptr[c]; s->rests[c] == PH_RESTS && q < p->hold_ptr[c + 1]; q++)
-            s->y[p->hold_row[q]] = ph_spread(0.0);
+            s->y[p->hold_row[q]] = PH_REAL_SPREAD(0.0);
 }
 
 /* Rows 0, after a look at what they miss: the mean of the node rows is (g' - g) / h. */
@@ -44,16 +44,16 @@ static void rest_residual(ph_system *s) {
     const ph_plan *p = s->plan;
     for (int c = 0; c < p->nhold; c++) {
         const int *row = p->hold_row + p->hold_ptr[c], n = p->hold_ptr[c + 1] - p->hold_ptr[c];
-        ph_real mean = ph_spread(0.0), speed = mean;
+        ph_real mean = PH_REAL_SPREAD(0.0), speed = mean;
         if (s->rests[c] != PH_RESTS)
             continue;
         if (n > p->k)
-            speed = ph_abs(s->r[row[p->k]]);
+            speed = PH_REAL_ABS(s->r[row[p->k]]);
         for (int i = 0; i < p->k; i++)
             mean += p->weights[i] * s->r[row[i]];
-        s->gap[c] = ph_where(ph_abs(mean) > speed, ph_abs(mean), speed);
+        s->gap[c] = PH_REAL_WHERE(PH_REAL_ABS(mean) > speed, PH_REAL_ABS(mean), speed);
         for (int i = 0; i < n; i++)
-            s->r[row[i]] = ph_spread(0.0);
+            s->r[row[i]] = PH_REAL_SPREAD(0.0);
     }
 }
 
@@ -64,9 +64,9 @@ static void rest_matrix(ph_system *s) {
         if (s->rests[c] != PH_RESTS)
             continue;
         for (int e = p->silent_ptr[c]; e < p->silent_ptr[c + 1]; e++)
-            s->a[p->silent[e]] = ph_spread(0.0);
+            s->a[p->silent[e]] = PH_REAL_SPREAD(0.0);
         for (int q = p->hold_ptr[c]; q < p->hold_ptr[c + 1]; q++)
-            s->a[p->hold_own[q]] = ph_spread(1.0);
+            s->a[p->hold_own[q]] = PH_REAL_SPREAD(1.0);
     }
 }
 
@@ -151,7 +151,7 @@ void ph_eval_derivatives(ph_system *s, ph_real *out) {
     const ph_plan *p = s->plan;
     int l = 0;
     for (int e = 0; e < p->nderivative; e++)
-        for (out[e] = ph_spread(0.0); l < p->derivative_ptr[e + 1]; l++)
+        for (out[e] = PH_REAL_SPREAD(0.0); l < p->derivative_ptr[e + 1]; l++)
             out[e] += s->derivatives[l] * s->v[p->derivative_s[l]] * s->v[p->derivative_t[l]];
 }
 

@@ -57,7 +57,7 @@ void ph_inputs_at(ph_instance *in, double theta, ph_real *u) {
         u[j] = in->u[j];
         if (in->head->held)
             continue;
-        u[j] = ph_spread(0.0);
+        u[j] = PH_REAL_SPREAD(0.0);
         for (int i = 0; i < p->k; i++)
             u[j] += in->basis[i] * in->u[i * p->nu + j];
     }

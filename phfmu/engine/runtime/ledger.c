@@ -20,7 +20,7 @@ static void move(ph_instance *in) {
         const int first = p->update_x[u], n = p->update_n[u];
         ph_real *restrict change = in->change;
         for (int i = 0; i < n; i++)
-            change[i] = ph_spread(0.0);
+            change[i] = PH_REAL_SPREAD(0.0);
         for (int l = p->update_ptr[u]; l < p->update_ptr[u + 1]; l++) {
             const ph_real *restrict w = in->step.y + p->update_w[l];
             const double c = p->update_c[l];
@@ -34,7 +34,7 @@ static void move(ph_instance *in) {
 static ph_truth beyond(const ph_real *restrict values, int n) {
     ph_truth found = {0};
     for (int i = 0; i < n; i++)
-        found |= PH_NOT(ph_abs(values[i]) <= PH_LARGEST);
+        found |= PH_NOT(PH_REAL_ABS(values[i]) <= PH_LARGEST);
     return found;
 }
 
@@ -45,7 +45,7 @@ ph_truth ph_weigh(ph_instance *in, double h) {
     ph_system *s = &in->step;
     const ph_plan *p = s->plan;
     const ph_real *sum = in->table + in->offset[PH_ENERGY];
-    ph_real most = ph_spread(0.0); /* sum of sizes: not a number if a term is none */
+    ph_real most = PH_REAL_SPREAD(0.0); /* sum of sizes: not a number if a term is none */
     ph_truth refused = beyond(in->table, p->nx);
 #ifndef PH_WIDTH
     if (s->resting) {
@@ -55,7 +55,7 @@ ph_truth ph_weigh(ph_instance *in, double h) {
 #endif
     ph_eval_ledger(s, in->stored, in->moved, in->lost, in->numerical);
     for (int j = 0; j < p->nq; j++) {
-        ph_real y = ph_spread(0.0), power = y;
+        ph_real y = PH_REAL_SPREAD(0.0), power = y;
         for (int i = 0; i < p->k; i++) {
             ph_real part = p->weights[i] * s->r[p->nw + i * p->nq + j];
             y += part;
@@ -63,16 +63,17 @@ ph_truth ph_weigh(ph_instance *in, double h) {
         }
         in->means[j] = y;
         in->energies[j] = h * power;
-        refused |= PH_NOT(ph_abs(in->energies[j]) + ph_abs(sum[j]) <= PH_LARGEST);
+        refused |= PH_NOT(PH_REAL_ABS(in->energies[j]) + PH_REAL_ABS(sum[j]) <= PH_LARGEST);
     }
     for (int l = 0; l < p->nwork; l++)
-        most += ph_abs(s->r[p->work_row[l]]);
+        most += PH_REAL_ABS(s->r[p->work_row[l]]);
     sum += p->nq;
     for (int c = 0; c < p->ncomp; c++) {
         const ph_real *cumulative = sum + c;
         in->lost[c] *= h;
-        most += (in->moved[c] + ph_abs(in->lost[c])) + (ph_abs(in->numerical[c]) + ph_abs(cumulative[0])) +
-                (ph_abs(cumulative[p->ncomp]) + ph_abs(cumulative[2 * p->ncomp]));
+        most += (in->moved[c] + PH_REAL_ABS(in->lost[c])) +
+                (PH_REAL_ABS(in->numerical[c]) + PH_REAL_ABS(cumulative[0])) +
+                (PH_REAL_ABS(cumulative[p->ncomp]) + PH_REAL_ABS(cumulative[2 * p->ncomp]));
     }
     return refused | PH_NOT(most <= PH_LARGEST);
 }
@@ -102,7 +103,7 @@ void ph_accept(ph_instance *in, double h, double from, double weight) {
         in->row[PH_ROW_SUPPLIED][p->pair_owner[p->work_pair[l]]] += energy;
     }
     for (int l = 0; l < p->nmean && p->carries; l++)
-        a[p->mean_a[l]] = ph_spread(0.0);
+        a[p->mean_a[l]] = PH_REAL_SPREAD(0.0);
     for (int l = 0; l < p->nmean; l++) {
         ph_real part = (p->carries ? 1.0 : weight) * p->mean_c[l] * s->y[p->mean_w[l]];
         a[p->mean_a[l]] += p->mean_pow[l] < 0 ? part / h : part;
@@ -137,7 +138,7 @@ void ph_begin_step(ph_instance *in, double h) {
     ph_clear(in->table + in->offset[PH_Y_STEP], p->nq);
     ph_clear(in->y_node, p->k > 1 ? p->nq * p->k : 0);
     for (int l = 0; l < p->nmean && !p->carries; l++)
-        a[p->mean_a[l]] = ph_spread(0.0);
+        a[p->mean_a[l]] = PH_REAL_SPREAD(0.0);
     in->head->parts = 0;
     in->head->step_h = h;
 }
@@ -169,7 +170,7 @@ void ph_finish_step(ph_instance *in, double t) {
     if (in->step.lu.ready)
         memcpy(in->step.pivot, in->step.lu.pivot, sizeof(int) * (size_t)p->nw);
     keep(in);
-    in->table[p->nx] = ph_spread(t);
+    in->table[p->nx] = PH_REAL_SPREAD(t);
     in->head->theta = 1.0;
     in->head->dirty = 1;
     in->count[PH_STEPS]++;

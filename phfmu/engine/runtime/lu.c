@@ -142,10 +142,10 @@ static int full(ph_lu *lu, const ph_real *a, double forced) {
         if (!a)
             continue;
         lu->inverse[j] = 1.0 / lu->work[row];
-        lu->work[row] = ph_spread(0.0);
+        lu->work[row] = PH_REAL_SPREAD(0.0);
         for (int l = lu->lower[j]; l < q; l++) {
             lu->value[l] = lu->work[lu->index[l]] * lu->inverse[j];
-            lu->work[lu->index[l]] = ph_spread(0.0);
+            lu->work[lu->index[l]] = PH_REAL_SPREAD(0.0);
         }
     }
     for (int j = 0; j < n; j++)
@@ -188,13 +188,13 @@ static inline int repeat(ph_lu *lu, const ph_real *a, int searched) {
     (void)searched;
     for (int j = 0; j < lu->n; j++) {
         int column = lu->order[j], lower = lu->lower[j], end = lu->start[j + 1];
-        ph_real pivot, most = ph_spread(0.0);
+        ph_real pivot, most = PH_REAL_SPREAD(0.0);
         for (int e = lu->colptr[column]; e < lu->colptr[column + 1]; e++)
             x[lu->place[e]] = a[e];
         for (int q = lu->start[j]; q < lower; q++) {
             int k = index[q], last = lu->start[k + 1];
             ph_real xk = x[k];
-            x[k] = ph_spread(0.0);
+            x[k] = PH_REAL_SPREAD(0.0);
             value[q] = xk;
             for (int l = lu->lower[k]; l < last; l++)
                 x[index[l]] -= value[l] * xk;
@@ -208,15 +208,15 @@ static inline int repeat(ph_lu *lu, const ph_real *a, int searched) {
             most = is_chosen(lu, j, fabs(pivot), most, a) ? 0.0 : INFINITY;
         }
 #endif
-        x[j] = ph_spread(0.0);
+        x[j] = PH_REAL_SPREAD(0.0);
         lu->inverse[j] = 1.0 / pivot;
         for (int q = lower; q < end; q++) {
             ph_real xi = x[index[q]];
-            x[index[q]] = ph_spread(0.0);
+            x[index[q]] = PH_REAL_SPREAD(0.0);
             value[q] = xi * lu->inverse[j];
-            most = ph_where(ph_abs(xi) > most, ph_abs(xi), most);
+            most = PH_REAL_WHERE(PH_REAL_ABS(xi) > most, PH_REAL_ABS(xi), most);
         }
-        refused |= PH_NOT(ph_abs(pivot) >= GROWTH * most) | (pivot == 0.0);
+        refused |= PH_NOT(PH_REAL_ABS(pivot) >= GROWTH * most) | (pivot == 0.0);
 #ifndef PH_WIDTH
         if (refused)
             return PH_SINGULAR;
@@ -291,7 +291,7 @@ void ph_lu_solve(ph_lu *lu, const ph_real *b, ph_real *x) {
     }
     for (int j = lu->n - 1; j >= 0; j--) {
         ph_real yj = y[j] * lu->inverse[j];
-        y[j] = ph_spread(0.0);
+        y[j] = PH_REAL_SPREAD(0.0);
         x[lu->order[j]] = yj;
         for (int q = lu->start[j]; q < lu->lower[j]; q++)
             y[index[q]] -= value[q] * yj;

@@ -17,11 +17,12 @@
 static void regularise(const ph_plan *p, ph_real *scaled) {
     for (int l = 0; l < p->nreg; l++) {
         int j = p->matrix_row[p->regularised[l]];
-        ph_real most = ph_spread(0.0), part;
+        ph_real most = PH_REAL_SPREAD(0.0), part;
         for (int e = p->colptr[j]; e < p->colptr[j + 1]; e++)
-            most = ph_where(ph_abs(scaled[e]) > most, ph_abs(scaled[e]), most);
+            most = PH_REAL_WHERE(PH_REAL_ABS(scaled[e]) > most, PH_REAL_ABS(scaled[e]), most);
         part = PH_DELTA_PART * most;
-        scaled[p->regularised[l]] += ph_where((most > 0.0) & (part < PH_DELTA), part, ph_spread(PH_DELTA));
+        scaled[p->regularised[l]] +=
+            PH_REAL_WHERE((most > 0.0) & (part < PH_DELTA), part, PH_REAL_SPREAD(PH_DELTA));
     }
 }
 
@@ -46,11 +47,11 @@ int ph_newton_factor(ph_system *s) {
     ph_real *restrict scaled = s->scaled;
     const ph_real *restrict a = s->a;
     for (int i = 0; i < p->nw; i++)
-        scale[i] = ph_spread(0.0);
+        scale[i] = PH_REAL_SPREAD(0.0);
     for (int e = 0; e < p->nnz; e++) {
-        ph_real size = ph_abs(a[e]);
+        ph_real size = PH_REAL_ABS(a[e]);
         int i = p->matrix_row[e];
-        scale[i] = ph_where(size > scale[i], size, scale[i]);
+        scale[i] = PH_REAL_WHERE(size > scale[i], size, scale[i]);
     }
     s->empty = -1;
     s->lu.filled = 0; /* the scale goes with the factor */
@@ -105,7 +106,7 @@ int ph_newton_recall(ph_system *s) {
 
 /* rhs = scale R; returns its squared 2-norm. */
 static ph_real scale_residual(ph_system *s) {
-    ph_real sum = ph_spread(0.0);
+    ph_real sum = PH_REAL_SPREAD(0.0);
     for (int i = 0; i < s->plan->nw; i++) {
         s->rhs[i] = s->scale[i] * s->r[i];
         sum += s->rhs[i] * s->rhs[i];
@@ -115,15 +116,15 @@ static ph_real scale_residual(ph_system *s) {
 
 /* w = base - damping dw; returns the scaled norm of dw, not finite if any entry is not. */
 static ph_real correct(ph_system *s, const ph_real *base, double damping) {
-    ph_real *w = s->y, most = ph_spread(0.0), sum = most;
+    ph_real *w = s->y, most = PH_REAL_SPREAD(0.0), sum = most;
     for (int i = 0; i < s->plan->nw; i++) {
         ph_real size, dw = s->dw[i];
         w[i] = base[i] - damping * dw;
-        size = ph_abs(dw) / (s->plan->nominal[i] + ph_abs(w[i]));
+        size = PH_REAL_ABS(dw) / (s->plan->nominal[i] + PH_REAL_ABS(w[i]));
         sum += size;
-        most = ph_where(size > most, size, most);
+        most = PH_REAL_WHERE(size > most, size, most);
     }
-    return ph_where(sum - sum == 0.0, most, sum);
+    return PH_REAL_WHERE(sum - sum == 0.0, most, sum);
 }
 
 #ifndef PH_WIDTH

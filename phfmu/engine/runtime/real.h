@@ -15,26 +15,27 @@
 typedef double ph_real __attribute__((vector_size(8 * PH_WIDTH), aligned(8)));
 typedef long long ph_truth __attribute__((vector_size(8 * PH_WIDTH), aligned(8)));
 
-#define ph_where(c, a, b) ((ph_real)(((c) & (ph_truth)(a)) | (~(c) & (ph_truth)(b))))
-#define ph_abs(a) ((ph_real)((ph_truth)(a) & 0x7fffffffffffffffLL))
-#define ph_spread(a) ((a) - (ph_real){0.0}) /* the same number for all */
+#define PH_REAL_WHERE(c, a, b) ((ph_real)(((c) & (ph_truth)(a)) | (~(c) & (ph_truth)(b))))
+#define PH_REAL_ABS(a) ((ph_real)((ph_truth)(a) & 0x7fffffffffffffffLL))
+#define PH_REAL_SPREAD(a) ((a) - (ph_real){0.0}) /* the same number for all */
 #define PH_NOT(c) (~(c))
 #define PH_TRUE ((ph_truth){0} == 0)
 
-static inline ph_real ph_sqrt(ph_real a) {
+static inline ph_real ph_real_sqrt(ph_real a) {
     for (int l = 0; l < PH_WIDTH; l++)
         a[l] = sqrt(a[l]);
     return a;
 }
+#define PH_REAL_SQRT(a) ph_real_sqrt(a)
 #else
 typedef double ph_real;
 typedef int ph_truth;
-#define ph_where(c, a, b) ((c) ? (a) : (b))
-#define ph_abs(a) fabs(a)
-#define ph_spread(a) (a)
+#define PH_REAL_WHERE(c, a, b) ((c) ? (a) : (b))
+#define PH_REAL_ABS(a) fabs(a)
+#define PH_REAL_SPREAD(a) (a)
 #define PH_NOT(c) (!(c))
 #define PH_TRUE 1
-#define ph_sqrt(a) sqrt(a)
+#define PH_REAL_SQRT(a) sqrt(a)
 #endif
 
 #endif

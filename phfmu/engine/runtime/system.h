@@ -220,7 +220,7 @@ struct ph_instance {
 
 static inline void ph_clear(ph_real *values, int n) {
     for (int i = 0; i < n; i++)
-        values[i] = ph_spread(0.0);
+        values[i] = PH_REAL_SPREAD(0.0);
 }
 
 /* Bytes of the instance of in->model with all it points to; with `memory` (that many, its own) the pointers

@@ -22,7 +22,7 @@ static void add_to(ph_real *total, ph_real *carry, ph_real x) {
 void ph_books_open(const ph_books *b, double *const *row) {
     ph_accounts *a = b->accounts;
     memset(b->books, 0, sizeof(ph_real) * (size_t)b->nbook);
-    a->violated = a->worst_unexplained = ph_spread(0.0);
+    a->violated = a->worst_unexplained = PH_REAL_SPREAD(0.0);
     a->H0 = b->was;
     a->H = b->now;
     a->varying = b->varying;
@@ -47,11 +47,11 @@ void ph_books_stored(const ph_books *b, int l, const double *energy) {
 }
 
 static ph_real smaller(ph_real a, ph_real b) {
-    return ph_where(b < a, b, a);
+    return PH_REAL_WHERE(b < a, b, a);
 }
 
 static ph_real larger_of(ph_real a, ph_real b) {
-    return ph_where(b > a, b, a);
+    return PH_REAL_WHERE(b > a, b, a);
 }
 
 void ph_books_step(const ph_books *b) {
@@ -60,8 +60,8 @@ void ph_books_step(const ph_books *b) {
     for (int k = 0; k < b->ncomp; k++) {
         const ph_real c = b->constant[k], was = b->was[k];
         add_to(&b->now[k], &b->carry[k], a->stored[k]);
-        b->varying[k] = smaller(larger_of(ph_abs(was), ph_abs(b->now[k])),
-                                larger_of(ph_abs(was - c), ph_abs(b->now[k] - c)));
+        b->varying[k] = smaller(larger_of(PH_REAL_ABS(was), PH_REAL_ABS(b->now[k])),
+                                larger_of(PH_REAL_ABS(was - c), PH_REAL_ABS(b->now[k] - c)));
     }
     (void)ph_account(a, 0);
     memcpy(a->before, b->now, sizeof(ph_real) * (size_t)b->ncomp);

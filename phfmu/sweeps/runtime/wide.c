@@ -106,7 +106,7 @@ ph_wide *ph_wide_init(void *memory, const ph_model *model, const ph_code *code) 
     s->p = w->in.p;
     s->last_h = &w->in.head->last_h[0];
     s->count = w->in.count;
-    s->v[0] = ph_spread(1.0);
+    s->v[0] = PH_REAL_SPREAD(1.0);
     s->hp[1] = NAN;
     return w;
 }
@@ -128,7 +128,7 @@ int ph_wide_prepare(ph_wide *w, const int *pivot, double last_h, int held) {
 /* Keeps the numbers `before` of the runs that are not `taken`. */
 static void blend(ph_real *values, const ph_real *before, int n, ph_truth taken) {
     for (int i = 0; i < n; i++)
-        values[i] = ph_where(taken, values[i], before[i]);
+        values[i] = PH_REAL_WHERE(taken, values[i], before[i]);
 }
 
 static void copy(ph_real *to, const ph_real *from, int n) {
@@ -233,7 +233,7 @@ static unsigned newton(ph_wide *w, unsigned going, unsigned keeping, ph_wide_cos
     for (int i = 0; i < n; i++)
         s->y[i] -= s->dw[i];
     ph_eval(s, 0, 1);
-    sum = ph_spread(0.0);
+    sum = PH_REAL_SPREAD(0.0);
     for (int i = 0; i < s->plan->nrow; i++)
         sum += s->r[i] - s->r[i];
     return found & bits(sum == 0.0);
@@ -259,7 +259,7 @@ unsigned ph_wide_solve(ph_wide *w, double t, double h, unsigned wanted, unsigned
     unsigned solved;
     *cost = (ph_wide_cost){0};
     wanted &= ~recall(w, wanted);
-    *time = ph_spread(t);
+    *time = PH_REAL_SPREAD(t);
     ph_resample(in, 0.0, 1.0, s->y + s->plan->nw);
     ph_eval_h(s, h);
     start_guess(s, s->last, h / *s->last_h);
@@ -273,7 +273,7 @@ unsigned ph_wide_solve(ph_wide *w, double t, double h, unsigned wanted, unsigned
 void ph_wide_accept(ph_wide *w, double t, double h) {
     ph_instance *in = &w->in;
     ph_begin_step(in, h);
-    in->table[in->step.plan->nx] = ph_spread(t);
+    in->table[in->step.plan->nx] = PH_REAL_SPREAD(t);
     ph_accept(in, h, 0.0, 1.0);
     ph_finish_step(in, t + h);
 }

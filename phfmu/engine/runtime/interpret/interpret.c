@@ -54,7 +54,7 @@ static void operate(const ph_program *p, const ph_real *w, ph_real *r) {
 
 static ph_real *begin(const ph_program *p, ph_real *w) {
     for (int i = 0; i < p->nconstant; i++)
-        w[i] = ph_spread(p->constant[i]);
+        w[i] = PH_REAL_SPREAD(p->constant[i]);
     return w + p->nconstant;
 }
 
@@ -108,7 +108,7 @@ void ph_interpret_ledger(const ph_kernel *self, const ph_group *g, const ph_poin
         const int owner = g->owner[i];
         instance(self, p, g, at, i, first);
         stored[owner] += at->work[p->out[0]];
-        moved[owner] += ph_abs(at->work[p->out[0]]);
+        moved[owner] += PH_REAL_ABS(at->work[p->out[0]]);
         lost[owner] += at->work[p->out[1]];
         if (p->nresult > 2)
             numerical[owner] += at->work[p->out[2]];
