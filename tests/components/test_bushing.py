@@ -108,6 +108,7 @@ def test_small_motion_is_six_oscillators() -> None:
     assert np.ptp(found.column("energy.stored")) <= 1e-8 * found.column("mount.energy")[0]
 
 
+@pytest.mark.slow
 def test_forces_and_torques_are_the_slopes_of_the_energy() -> None:
     """Rates of momentum and of spin, of bodies with two moving sides; sums of both sides cancel."""
     m = Mechanism("pair", gravity=(0, 0, 0))
