@@ -14,7 +14,7 @@ from phfmu.audit.kinds import Quality
 from phfmu.cli import main
 from phfmu.outcome.steps import Steps
 from tests.fmu.public_units import public
-from tests.network.test_quarter_truck import CHASSIS, FINE, SCENE, WHEEL
+from tests.network.test_quarter_truck import CHASSIS, FINE, SCENE, WHEEL, made
 
 N, H = 400, 0.01
 
@@ -158,17 +158,11 @@ def test_a_run_that_makes_nothing_has_one_sentence(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("coupling", "step", "net", "gross"),
-    [
-        (["jacobi"], 1e-3, 3.15, 4.54), (["jacobi"], 5e-3, 16.3, 23.3), (["jacobi"], 1e-2, 33.4, 47.7),
-        (["gauss-seidel", "--sequence", "wheel,chassis"], 1e-3, 0.0, 3.89),
-        (["gauss-seidel", "--sequence", "wheel,chassis"], 5e-3, 0.0, 20.0),
-        (["gauss-seidel", "--sequence", "wheel,chassis"], 1e-2, 0.0, 40.2),
-    ],
-)  # fmt: skip
-def test_the_quarter_truck(tmp_path: Path, coupling: list[str], step: float, net: float, gross: float) -> None:
-    """Numbers of a bare loop over the two units, port work by displacement and by the trapezoidal rule."""
+@pytest.mark.parametrize("step", [1e-3, 5e-3, 1e-2])
+@pytest.mark.parametrize("coupling", [["jacobi"], ["gauss-seidel", "--sequence", "wheel,chassis"]], ids=str)
+def test_the_quarter_truck(tmp_path: Path, coupling: list[str], step: float) -> None:
+    """As much as exact solutions under held inputs make."""
+    net, gross = made(coupling[0], step, 10.0)
     for path in (public(CHASSIS, WHEEL), public(WHEEL)):
         shutil.copy(path, tmp_path)
     (tmp_path / "truck.py").write_text(SCENE)
@@ -176,7 +170,7 @@ def test_the_quarter_truck(tmp_path: Path, coupling: list[str], step: float, net
     options = ["--coupling", *coupling, "--step", f"{step:g}", "--audit", str(audit), "--quiet", *FINE]
     assert main(["run", str(tmp_path / "truck.py"), *options]) == 0
     (found,) = blame(audit).junctions
-    assert found.gross == pytest.approx(gross, rel=0.02) and found.net == pytest.approx(net, rel=0.02, abs=1e-7)
+    assert found.gross == pytest.approx(gross, rel=0.02) and found.net == pytest.approx(net, abs=2e-3 * gross)
     assert set(found.causes) == {EXTRAPOLATED}
     (told,) = summarise(audit).junctions
     assert (told.gross, told.residual) == pytest.approx((found.gross, found.net), rel=1e-9, abs=1e-9)

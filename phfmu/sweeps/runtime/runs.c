@@ -5,7 +5,7 @@
  */
 #include "runs.h"
 
-#include "lanes.h"
+#include "side_by_side.h"
 
 #include <math.h>
 #include <string.h>

@@ -1,5 +1,5 @@
-/* See lanes.h. */
-#include "lanes.h"
+/* See side_by_side.h. */
+#include "side_by_side.h"
 
 #include <string.h>
 
