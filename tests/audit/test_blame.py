@@ -159,7 +159,7 @@ def test_a_run_that_makes_nothing_has_one_sentence(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("step", [1e-3, 5e-3, 1e-2])
-@pytest.mark.parametrize("coupling", [["jacobi"], ["gauss-seidel", "--sequence", "wheel,chassis"]], ids=str)
+@pytest.mark.parametrize("coupling", [["jacobi"], ["gauss-seidel", "--sequence", "chassis,wheel"]], ids=str)
 def test_the_quarter_truck(tmp_path: Path, coupling: list[str], step: float) -> None:
     """As much as exact solutions under held inputs make."""
     net, gross = made(coupling[0], step, 10.0)
