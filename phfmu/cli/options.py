@@ -120,13 +120,7 @@ def of_run(args: argparse.Namespace, scene: Scene, *, whole: bool) -> Options:
     stop = scene.stop if args.stop is None else args.stop
     step = scene.step if args.step is None else args.step
     restart = args.restart if args.restart is not None else scene.restart if whole else 0
-    given = {
-        "energy_rtol": args.energy_rtol,
-        "ecco": args.ecco,
-        "atol": args.atol,
-        "min_step": args.min_step,
-        "max_step": args.max_step,
-    }
+    given = {n: getattr(args, n) for n in ("energy_rtol", "ecco", "atol", "min_step", "max_step")}
     if args.rtol is not None and args.step:
         given["landing"] = args.step
     return Options(

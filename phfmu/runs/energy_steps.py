@@ -93,7 +93,9 @@ class EnergySteps:
         self.stuck = [m.name for m in joined.members if not m.saves or m.finishes]
         self._again = not self._ecco and not self.stuck
         self._makes = not coupling.repeats or bool(joined.put_off)
-        self._rule = ECCO if self._ecco else rule(2 if self._makes else 3)
+        #: of the residuals in h
+        self._order = 2 if self._makes else 3
+        self._rule = ECCO if self._ecco else rule(self._order)
         self._rtol, self._atol = tolerance, options.atol or 0.0
         self._first, self._max_step = options.step, options.max_step
         self._min_step = options.min_step or (0.0 if self._ecco else min(LEAST * options.step, options.max_step))
@@ -148,15 +150,16 @@ class EnergySteps:
             except StepFailure:
                 if kept is None or h <= least:
                     raise
-                self._rejected, self._h, limit = self._rejected + 1, max(SHRINK * h, self._min_step), 1.0
+                self._shorten(h, SHRINK)
+                limit = 1.0
                 continue
             made, passed = self._made(steps)
             now = self.stepper.joined.inputs(self.stepper.last.xi), self._outputs(), h
             error = self._eps(made, passed) if self._ecco else self._error(made, passed, now)
             if error > 1.0 and kept is not None and h > least:
                 self.stepper.back(kept)
-                factor = SAFETY * error ** (-1.0 / (2 if self._makes else 3))
-                self._rejected, self._h, limit = self._rejected + 1, max(h * max(factor, SHRINK), self._min_step), 1.0
+                self._shorten(h, max(SAFETY * error ** (-1.0 / self._order), SHRINK))
+                limit = 1.0
                 continue
             self._missed += not self._ecco and error > 1.0
             self._exchanged, self._before = self._exchanged + passed, now
@@ -193,6 +196,10 @@ class EnergySteps:
         pairs = steps.pairs[-1]
         made = np.array([abs(pairs[place].sum()) for place in self._junctions])
         return made, np.array([np.abs(pairs[place]).sum() / 2 for place in self._junctions])
+
+    def _shorten(self, h: float, factor: float) -> None:
+        """The trial of length h is rejected."""
+        self._rejected, self._h = self._rejected + 1, max(h * factor, self._min_step)
 
     def _control(self, h: float, error: float, limit: float) -> None:
         """The next size; a step cut short by `end` does not lower it."""

@@ -108,15 +108,13 @@ def _more(names: Sequence[str]) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Embedded:
-    """A unit of another tool as a member: what the run steps, its file, and its held signals by their names.
+    """A unit of another tool as a member: what the run steps, and its file.
 
     `step`, `instant`: lengths of its blocks, as those of a model.
     """
 
     member: FMUMember
     file: UnitFile
-    sent: tuple[str, ...] = ()
-    taken: tuple[str, ...] = ()
 
     @property
     def name(self) -> str:
@@ -213,8 +211,8 @@ class Embedded:
 
     # -- C ------------------------------------------------------------------------------------------------------------
 
-    def text(self, symbol: str) -> str:
-        """Its `ph_embedded`, called `symbol`, and all it points to."""
+    def text(self, symbol: str, sent: Sequence[str], taken: Sequence[str]) -> str:
+        """Its `ph_embedded`, called `symbol`, and all it points to; `sent`, `taken`: held signals that it exchanges."""
         values, about = self.unit._values, self.file.interface
         version, nu = VERSIONS[about.version], values.nu
         texts = list[str]()
@@ -231,7 +229,7 @@ class Embedded:
             "input": scalars("input", values.u.scalars, values.input_sign),
             "looked": scalars("looked", outputs, np.append(values.output_sign, values.displacement_sign)),
             "told": scalars("told", (own := [v for v in self.told if v.type == "Float64"]), np.ones(len(own))),
-            "sent": scalars("sent", [about.variables[n] for n in self.sent], np.ones(len(self.sent))),
+            "sent": scalars("sent", [about.variables[n] for n in sent], np.ones(len(sent))),
         }
         settable = [scalars(f"set{i}", [v], np.ones(1)) for i, v in enumerate(self.settable)]
         texts.append(f"static const ph_scalars {symbol}_settable[] = {{{', '.join(settable) or '{0}'}}};\n")
@@ -241,12 +239,13 @@ class Embedded:
         texts.append(f"static const ph_typed {symbol}_other[] = {{{rows or '{0}'}}};\n")
         late = [v.causality == "input" or v.variability == "tunable" for v in self.settable]
         watched = [i for i, v in enumerate(self.told) if v.causality == "output"]
+        place = {v.name: i for i, v in enumerate(self.settable)}
         arrays = {
             "start": ("double", np.array([self._start(v) for v in self.settable])),
             "given": ("int", np.array([v.name in self.file.starts for v in self.settable], np.int32)),
             "late": ("int", np.array(late, np.int32)), "begin": ("double", self.unit.start_inputs()),
             "rate": ("int", rate), "watched": ("int", np.array(watched, np.int32)),
-            "taken": ("int", np.array([[v.name for v in self.settable].index(n) for n in self.taken], np.int32)),
+            "taken": ("int", np.array([place[n] for n in taken], np.int32)),
         }  # fmt: skip
         texts += [array_text(kind, f"{symbol}_{n}", a) for n, (kind, a) in arrays.items() if len(a)]
         numbers = {
@@ -255,7 +254,7 @@ class Embedded:
             "in_parts": int(self.unit.steps.in_parts),
             "tolerance_told": int(self.file.tolerance is not None), "tolerance": number(self.file.tolerance or 0.0),
             "nu": nu, "np": len(self.settable), "ntyped": len(self.typed), "nother": len(self.told) - len(own),
-            "nlooked": len(outputs), "nwatched": len(watched), "ntaken": len(self.taken),
+            "nlooked": len(outputs), "nwatched": len(watched), "ntaken": len(taken),
         }  # fmt: skip
         members = {
             "member": c_string(self.name),
@@ -271,8 +270,8 @@ class Embedded:
         table = (
             f"static const ph_embedded_about {symbol}_about = {{\n{rows}    .library = {{{self._libraries()}}},\n}};\n"
         )
-        taken = f"{symbol}_taken" if self.taken else "0"
-        map_and_kind = f"&{symbol}_about, ph_map_embedded, ph_kind_embedded, {finish}, {taken}"
+        places = f"{symbol}_taken" if taken else "0"
+        map_and_kind = f"&{symbol}_about, ph_map_embedded, ph_kind_embedded, {finish}, {places}"
         return f"{''.join(texts)}{table}static const ph_embedded {symbol} = {{{map_and_kind}}};\n"
 
     def _typed_text(self, name: str, version: Version) -> str:

@@ -108,7 +108,8 @@ def _network_text(
         s, own = tables.struct("ph_share", f"share{i}", {**share, "record": length})
         if isinstance(member, Embedded):
             more, what = list[str](), f".unit = &embedded{i}"
-            tables.arrays.append(member.text(f"embedded{i}"))
+            part = master.found.parts[i]
+            tables.arrays.append(member.text(f"embedded{i}", part.told, part.taken))
         else:
             n, more = tables.struct("ph_native", f"native{i}", next(natives))
             what = f".model = &ph_member{i}, .ports = {'0' if port is None else f'&ph_ports{port}'}, .native = {n}"

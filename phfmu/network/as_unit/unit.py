@@ -347,9 +347,7 @@ def coupled_members(
             unit, _ = unit_member(name, member, step, found.get(name))
             assert isinstance(unit, FMUMember)
             members.append(unit)
-            sent = dict.fromkeys(w.output for w in network.wires if w.source == name)
-            taken = dict.fromkeys(w.input for w in network.wires if w.target == name)
-            models.append(Embedded(unit, member, tuple(sent), tuple(taken)))
+            models.append(Embedded(unit, member))
     whole = Coupled(network, members, coupling.make)
     whole.check_start()
     if not whole.coupling.repeats:  # whether outputs give the junctions their values

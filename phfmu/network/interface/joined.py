@@ -42,7 +42,7 @@ class Joined:
         #: members whose steps are put off until `finish`
         self.put_off = [m for m in members if isinstance(m, SteppedLast)]
         #: relative difference of steps that members take again, which units may have; 0 where all take them to rounding
-        self.repeated = max((float(getattr(m, "repeated", 0.0)) for m in members), default=0.0)
+        self.repeated = max((m.repeated for m in members), default=0.0)
         self.booking = _booking(network, members)
         self.names = [of_member(m.name, n) for m in members for n in m.names]
         ends = np.cumsum([0, *(m.nu for m in members)]).tolist()

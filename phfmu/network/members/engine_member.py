@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 class EngineMember:
     """A member stepped by a Python or native instance of its model, in `parts` equal internal steps per step."""
 
-    saves, finishes, ended, unwritten = True, False, False, ""
+    saves, finishes, repeated, ended, unwritten = True, False, 0.0, False, ""
     CARRIED = ("instance", "_inputs", "booking")
 
     def __init__(self, name: str, model: Model, instance: Any, parts: int = 1):

@@ -23,6 +23,7 @@ class Member(Protocol):
     ports of units, 1000 where a unit says kN.
     `saves`: whether it can give its state and take it back.
     `finishes`: whether a step that was accepted has to be ended by `finish`.
+    `repeated`: how much steps that it takes again differ, relative to its outputs; 0: by rounding.
     `taken`, `sent`: signals that it exchanges at the nodes of its steps, with their places among inputs and outputs.
     """
 
@@ -45,6 +46,8 @@ class Member(Protocol):
 
     @property
     def finishes(self) -> bool: ...
+    @property
+    def repeated(self) -> float: ...
     @property
     def ended(self) -> bool:
         """Whether it has asked to end the simulation in the last step."""

@@ -34,7 +34,7 @@ FLOOR = 1e-6  # of the largest output: what is below it counts as rest
 class SteppedLast:
     """The member `inner`, whose steps are put off until `finish`; response: `rollback.response` to a step of length h."""
 
-    finishes = True
+    finishes, repeated = True, 0.0
 
     def __init__(self, inner: FMUMember, h: float, response: tuple[Array, Array]):
         self.inner, self._h, (first, self._G) = inner, h, response

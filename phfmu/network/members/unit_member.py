@@ -14,8 +14,6 @@ from phfmu.network.members.rollback import WAYS, Rollback, response, tells_late,
 from phfmu.network.members.stepped_last import SteppedLast
 
 LAST = "it is stepped last, against a predicted response; what that misses is booked at its junctions"
-
-
 LATE = (
     "tells outputs that follow its inputs at once only after a step; each step is taken in two parts, of a third and two thirds, "
     "for their mean"
