@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import cos, pi, sqrt
 
 import casadi as ca
 import numpy as np
 
 from phfmu import ELECTRICAL, PHDAE, Port, Variable, algebraic, driven, parameter, signal_output, skew, state
-
-#: of the phases a, b, c behind phase a
-ANGLES = (0.0, 2.0 * pi / 3.0, -2.0 * pi / 3.0)
+from phfmu.components.electrical.phase_locked_loop import phase_locked_loop
+from phfmu.components.electrical.phases import ALPHA, PHASES
 
 
 def meter(
@@ -37,11 +35,10 @@ def meter(
         raise ValueError(
             f"meter: TR = {TR:g} s must be positive; a signal without lag would be a voltage that no state holds"
         )
-    phases = ("a", "b", "c")
     peak, rated = sqrt(2.0 / 3.0) * Vn, sqrt(2.0 / 3.0) * Sn / Vn
-    i = algebraic("i", 3, unit="A", nominal=rated, elements=phases, description="current from a to b")
-    begun = [peak * cos(angle - a) for a in ANGLES]
-    v = algebraic("v", 3, unit="V", start=begun, nominal=peak, elements=phases, description="voltage of the phases")
+    i = algebraic("i", 3, unit="A", nominal=rated, elements=PHASES, description="current from a to b")
+    begun = [peak * cos(angle - a) for a in ALPHA]
+    v = algebraic("v", 3, unit="V", start=begun, nominal=peak, elements=PHASES, description="voltage of the phases")
     lag, rated_v = (parameter(n, x, unit=u, positive=True) for n, x, u in (("TR", TR, "s"), ("Vn", Vn, "V")))
     size = ca.sqrt(ca.sumsqr(v.sx) + (1e-6 * rated_v) ** 2)
     V = state("V", start=1.0, description="voltage in per unit")
@@ -49,11 +46,12 @@ def meter(
     outputs = [signal_output("voltage", V.sx, description="voltage in per unit")]
     own: list[Variable] = [lag, rated_v]
     if frequency:
-        follows = _loop(v, size, lag, fn, kp, ki, angle)
-        rates |= follows.rates
-        own += follows.parameters
-        outputs.append(signal_output("frequency", follows.f.sx, unit="1/s", description="frequency"))
-    ports = [Port("a", ELECTRICAL, "effort", {i: 1.0}, size=3, nominal=peak, elements=phases, description="the bus")]
+        loop = phase_locked_loop(v, size, fn, kp, ki, angle)
+        f = state("f", unit="1/s", start=fn, nominal=fn, description="frequency")
+        rates |= loop.rates | {f: (loop.speed / (2.0 * pi) - f) / lag}
+        own += loop.parameters
+        outputs.append(signal_output("frequency", f.sx, unit="1/s", description="frequency"))
+    ports = [Port("a", ELECTRICAL, "effort", {i: 1.0}, size=3, nominal=peak, elements=PHASES, description="the bus")]
     if through:
         power = parameter("Sn", Sn, unit="W", positive=True)
         P, Q = (state(n, description=t) for n, t in (("P", "active power"), ("Q", "reactive power")))
@@ -65,7 +63,7 @@ def meter(
         outputs += [signal_output("active", P.sx, description="active power from a to b in per unit"),
                     signal_output("reactive", Q.sx, description="reactive power from a to b in per unit")]  # fmt: skip
         ports.append(
-            Port("b", ELECTRICAL, "flow", {v: 1.0}, size=3, nominal=rated, elements=phases, description="away")
+            Port("b", ELECTRICAL, "flow", {v: 1.0}, size=3, nominal=rated, elements=PHASES, description="away")
         )
         own.append(power)
     return PHDAE(
@@ -78,25 +76,3 @@ def meter(
         observables=tuple(outputs),
         description="meter of voltage, frequency and powers",
     )
-
-
-@dataclass(frozen=True)
-class _Loop:
-    """States that follow the angle of a voltage, with their rates."""
-
-    f: Variable
-    rates: dict[Variable, ca.SX]
-    parameters: list[Variable]
-
-
-def _loop(v: Variable, size: ca.SX, lag: Variable, fn: float, kp: float, ki: float, angle: float) -> _Loop:
-    rated = parameter("fn", fn, unit="1/s", positive=True)
-    gain, integral = parameter("kp", kp, unit="1/s"), parameter("ki", ki, unit="1/s2")
-    theta = state("theta", start=angle, unit="rad", description="angle that follows phase a")
-    x = state("x", unit="rad/s", nominal=2.0 * pi * fn, description="integral of the loop")
-    f = state("f", unit="1/s", start=fn, nominal=fn, description="frequency")
-    turned = [ca.sin(theta.sx - a) for a in ANGLES]
-    e = -sqrt(2.0 / 3.0) * ca.dot(v.sx, ca.vertcat(*turned)) / size
-    speed = 2.0 * pi * rated + gain * e + x
-    rates = {theta: speed, x: integral * e, f: (speed / (2.0 * pi) - f) / lag}
-    return _Loop(f, rates, [rated, gain, integral])

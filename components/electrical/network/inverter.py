@@ -7,6 +7,7 @@ from math import cos, pi, sqrt
 import casadi as ca
 
 from phfmu import ELECTRICAL, PHDAE, Port, algebraic, driven, parameter, signal_input, signal_output, skew, state
+from phfmu.components.electrical.phase_locked_loop import phase_locked_loop
 from phfmu.components.electrical.phases import ALPHA, PHASES
 
 #: entries of a voltage along and across an angle, and back, as power needs them: P = vd Id + vq Iq
@@ -66,12 +67,8 @@ def grid_following_inverter(
     )
     lag = parameter("Ti", Ti, unit="s", positive=True, description="lag of the current")
     filtered = parameter("TV", TV, unit="s", positive=True, description="lag of the measured voltage")
-    base = parameter("fn", fn, unit="1/s", positive=True, description="rated frequency")
-    gain, integral = parameter("kp", kp, unit="1/s"), parameter("ki", ki, unit="1/s2")
 
     peak, current = _SCALE * V, _SCALE * S / V
-    theta = state("theta", start=angle, unit="rad", description="angle that follows phase a")
-    x = state("x", unit="rad/s", nominal=2.0 * pi * fn, description="integral of the loop")
     U = state("U", start=V, unit="V", nominal=V, description="measured voltage, rms, line to line")
     along = state("Id", start=P / V, unit="A", nominal=S / V, description="delivered current along the voltage")
     across = state("Iq", start=-Q / V, unit="A", nominal=S / V, description="delivered current ahead of the voltage")
@@ -79,24 +76,23 @@ def grid_following_inverter(
     v = algebraic("v", 3, unit="V", start=[peak * cos(angle - a) for a in ALPHA], nominal=peak, elements=PHASES,
                   description="voltage of the phases")  # fmt: skip
 
-    cosines, sines = (ca.vertcat(*(f(theta.sx - a) for a in ALPHA)) for f in (ca.cos, ca.sin))
-    vd, vq = _SCALE * ca.dot(cosines, v.sx), -_SCALE * ca.dot(sines, v.sx)
+    loop = phase_locked_loop(v, rated.sx, fn, kp, ki, angle)
+    cosines, sines = (ca.vertcat(*(f(loop.theta.sx - a) for a in ALPHA)) for f in (ca.cos, ca.sin))
+    vd = _SCALE * ca.dot(cosines, v.sx)
     delivered = _SCALE * (along.sx * cosines - across.sx * sines)
     m = ca.fmax(U.sx, floor.sx * rated.sx)
     wanted = ca.sqrt(active.sx**2 + reactive.sx**2 + (1e-9 * rated.sx * limit.sx) ** 2) / m
     part = ca.fmin(1.0, limit.sx / wanted)
-    rates = {
-        theta: 2.0 * pi * base.sx + gain.sx * vq / rated.sx + x.sx,
-        x: integral.sx * vq / rated.sx,
+    rates = loop.rates | {
         U: (vd - U.sx) / filtered.sx,
         along: (part * active.sx / m - along.sx) / lag.sx,
         across: (-part * reactive.sx / m - across.sx) / lag.sx,
     }
     return PHDAE(
         "grid_following_inverter",
-        states=(theta, x, U, along, across),
+        states=tuple(rates),
         algebraics=(i, v),
-        parameters=(active, reactive, rated, limit, floor, lag, filtered, base, gain, integral),
+        parameters=(active, reactive, rated, limit, floor, lag, filtered, *loop.parameters),
         structure=(skew(i, v, -1.0),),
         ports=(
             Port("terminal", ELECTRICAL, "effort", {i: 1.0}, size=3, nominal=peak, elements=PHASES,
@@ -105,7 +101,7 @@ def grid_following_inverter(
             driven("control", rates, description="the rates of the control; no work"),
         ),
         observables=(
-            signal_output("frequency", base.sx + x.sx / (2.0 * pi), unit="1/s", description="of the loop"),
+            signal_output("frequency", loop.parameters[0] + loop.x / (2.0 * pi), unit="1/s", description="of the loop"),
             signal_output("voltage", U.sx / rated.sx, description="measured voltage in per unit"),
             signal_output("active", U.sx * along.sx, unit="W", description="active power at the measured voltage"),
             signal_output("reactive", -U.sx * across.sx, unit="W", description="reactive power at the measured voltage, in var"),
