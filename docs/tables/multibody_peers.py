@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
 
-from pages import DOCS, Made, nothing, table
+from pages import Made, nothing, table
+from peers import cheapest, draw_panels, measured_in_turns, remarks
 
 from phfmu.studies.bench import machine
 from phfmu.studies.bench.candidate import Candidate
 from phfmu.studies.bench.mechanisms import exudyn_models, ida, mujoco_models, opensim_models
 from phfmu.studies.bench.mechanisms.case import Case
 from phfmu.studies.bench.mechanisms.cases import CASES, IFTOMM
-from phfmu.studies.bench.report import draw_lines
-from phfmu.studies.bench.work_precision import Row, Table, cost_at, measure
+from phfmu.studies.bench.work_precision import Table
 
 TURNS = 5  # of which the median counts
 #: errors at which costs are compared
@@ -38,17 +37,15 @@ PROGRAMS: Peers = (mujoco_models.candidates, exudyn_models.candidates, ida.candi
 @cache
 def measured(iftomm: bool = False) -> tuple[dict[str, tuple[Case, Table]], str]:
     """All cases, each with its methods in turns; the machine with its load."""
-    before, found, peers = machine.load(), {}, (opensim_models.candidates,) if iftomm else PROGRAMS
-    for name, made in (IFTOMM if iftomm else CASES).items():
-        case = made()
-        print(f"{name}: reference", file=sys.stderr, flush=True)
+    peers = (opensim_models.candidates,) if iftomm else PROGRAMS
+
+    def methods(case: Case) -> Iterator[Candidate]:
         case.solve_reference()
-        result = measure(case, [*case.own(), *(c for peer in peers for c in peer(case))], TURNS)
-        for said in result.remarks:
-            print(f"{name}: {said}", file=sys.stderr, flush=True)
-        found[name] = (case, result)
-    about = f"{machine.processor()}; load {before} before, {machine.load()} after; one thread, CPU time, median of {TURNS} turns"
-    return found, about
+        yield from case.own()
+        for peer in peers:
+            yield from peer(case)
+
+    return measured_in_turns(IFTOMM if iftomm else CASES, methods, TURNS)
 
 
 def multibody_peers() -> Made:
@@ -68,18 +65,10 @@ def _rows(iftomm: bool, draw: Callable[[], Sequence[Path]] = nothing) -> Made:
         for name, (_, result) in found.items()
         for r in result.rows
     ]
-    said = {f"{name}: {remark}": None for name, (_, result) in found.items() for remark in result.remarks}
     sure = ", ".join(f"{name} {case.uncertainty:.0e}" for name, (case, _) in found.items())
-    notes = (*said, f"distance of the references at relative tolerances of 1e-12 and 1e-13: {sure}", about)
+    notes = (*remarks(found), f"distance of the references at relative tolerances of 1e-12 and 1e-13: {sure}", about)
     head = ["mechanism", "method", "setting", "ms/s", "error, m"]
     return table(head, rows, ".1e", notes=(*notes, machine.versions()), draw=draw)
-
-
-def _cost(rows: Sequence[Row], level: float) -> float | None:
-    """The cheapest method at an error in CPU seconds per second; None where none reaches it."""
-    methods = {r.method for r in rows}
-    costs = (cost_at(level, [r for r in rows if r.method == m], 0) for m in methods)
-    return min((c.cpu for c in costs if c is not None), default=None)
 
 
 def multibody_peers_equal() -> Made:
@@ -89,7 +78,7 @@ def multibody_peers_equal() -> Made:
     for name, (_, result) in found.items():
         by_column = {c: [r for r in result.rows if r.method.startswith(starts)] for c, starts in COLUMNS.items()}
         for level in LEVELS:
-            own, *others = (_cost(of, level) if of else None for of in by_column.values())
+            own, *others = (cheapest(of, level) if of else None for of in by_column.values())
             cells = [
                 "" if not of else "not reached" if cost is None else f"{1e3 * cost:.3g}{_times(cost, own)}"
                 for of, cost in zip(list(by_column.values())[1:], others, strict=True)
@@ -103,23 +92,10 @@ def _times(cost: float, own: float | None) -> str:
 
 
 def _draw() -> Sequence[Path]:
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
     found, about = measured()
-    shown = [(name, case, result) for name, (case, result) in found.items() if len(result.methods()) > 2]
-    lines = -(-len(shown) // 3)
-    figure, axes = plt.subplots(lines, 3, figsize=(12.0, 3.9 * lines), layout="constrained", squeeze=False)
-    for ax in axes.flat[len(shown) :]:
-        ax.set_visible(False)
-    for ax, (name, case, result) in zip(axes.flat, shown, strict=False):
-        draw_lines(ax, case, result)
-        ax.set(title=name, xlabel=f"error of positions in m at t = {case.stop:g} s", ylabel="CPU time in ms per second")
-        ax.legend(fontsize=7, frameon=False)
-    figure.supxlabel(f"{about}\n{machine.versions()}", fontsize=7, color="0.4")
-    path = DOCS / "results" / "img" / "multibody.png"
-    figure.savefig(path, dpi=130)
-    plt.close(figure)
-    return (path,)
+    shown = [
+        (name, case, result, f"error of positions in m at t = {case.stop:g} s")
+        for name, (case, result) in found.items()
+        if len(result.methods()) > 2
+    ]
+    return draw_panels("multibody.png", shown, 3, (4.0, 3.9), f"{about}\n{machine.versions()}")

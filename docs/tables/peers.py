@@ -1,0 +1,72 @@
+"""What the pages beside other tools share: cases that are measured in turns, and panels of CPU time over error."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TypeVar
+
+from pages import DOCS
+
+from phfmu.studies.bench import machine
+from phfmu.studies.bench.candidate import Candidate
+from phfmu.studies.bench.problem import Compared
+from phfmu.studies.bench.report import draw_lines
+from phfmu.studies.bench.work_precision import Row, Table, cost_at, measure
+
+Measured = TypeVar("Measured", bound=Compared)
+
+
+def measured_in_turns(
+    cases: Mapping[str, Callable[[], Measured]], candidates: Callable[[Measured], Iterable[Candidate]], turns: int
+) -> tuple[dict[str, tuple[Measured, Table]], str]:
+    """All cases, each with its methods in turns; the machine with its load."""
+    before, found = machine.load(), dict[str, tuple[Measured, Table]]()
+    for name, made in cases.items():
+        print(f"{name}: reference", file=sys.stderr, flush=True)
+        case = made()
+        result = measure(case, [*candidates(case)], turns, lambda said: print(said, file=sys.stderr, flush=True))
+        for said in result.remarks:
+            print(f"{name}: {said}", file=sys.stderr, flush=True)
+        found[name] = (case, result)
+    about = f"{machine.processor()}; load {before} before, {machine.load()} after; one thread, CPU time, median of {turns} turns"
+    return found, about
+
+
+def remarks(found: Mapping[str, tuple[Compared, Table]]) -> list[str]:
+    """What was said of cases, each line once."""
+    return list(dict.fromkeys(f"{name}: {remark}" for name, (_, result) in found.items() for remark in result.remarks))
+
+
+def cheapest(rows: Sequence[Row], level: float) -> float | None:
+    """CPU seconds per second of the cheapest method at an error; None where none reaches it."""
+    methods = {r.method for r in rows}
+    costs = (cost_at(level, [r for r in rows if r.method == m], 0) for m in methods)
+    return min((c.cpu for c in costs if c is not None), default=None)
+
+
+def draw_panels(
+    picture: str, panels: Sequence[tuple[str, Compared, Table, str]], columns: int, size: tuple[float, float], foot: str
+) -> Sequence[Path]:
+    """docs/results/img/PICTURE: a panel for each (title, case, rows, what the error is of), each of a size in inch."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    lines = -(-len(panels) // columns)
+    figure, axes = plt.subplots(
+        lines, columns, figsize=(columns * size[0], lines * size[1]), layout="constrained", squeeze=False
+    )
+    for ax in axes.flat[len(panels) :]:
+        ax.set_visible(False)
+    for ax, (title, case, rows, error) in zip(axes.flat, panels, strict=False):
+        draw_lines(ax, case, rows)
+        ax.set(title=title, xlabel=error, ylabel="CPU time in ms per second")
+        ax.legend(fontsize=7, frameon=False)
+    figure.supxlabel(foot, fontsize=7, color="0.4")
+    path = DOCS / "results" / "img" / picture
+    figure.savefig(path, dpi=130)
+    plt.close(figure)
+    return (path,)
