@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from html import escape
 from typing import Any
 
@@ -46,15 +47,17 @@ class _Grid:
     faint: int = 0
 
     @property
-    def junctions(self) -> list[str]:
-        ends = (j for group in (self.between, self.beside, self.joining) for own in group.values() for j in own)
-        return list(dict.fromkeys(ends))
+    def groups(self) -> tuple[dict[str, dict[str, float]], ...]:
+        return self.between, self.beside, self.joining
 
     @property
+    def junctions(self) -> list[str]:
+        return list(dict.fromkeys(j for group in self.groups for own in group.values() for j in own))
+
+    @cached_property
     def largest(self) -> float:
-        return max(
-            abs(e) for g in (self.between, self.beside, self.joining) for own in g.values() for e in own.values()
-        )
+        """Of the energies, once all members are there."""
+        return max(abs(e) for group in self.groups for own in group.values() for e in own.values())
 
 
 def grid_diagram(ports: Sequence[Passed], below: Mapping[str, str]) -> tuple[str, int]:
@@ -68,13 +71,9 @@ def grid_diagram(ports: Sequence[Passed], below: Mapping[str, str]) -> tuple[str
         return "", 0
     at = _positions(grid)
     width, height = (max(p[i] for p in at.values()) + MARGIN for i in (0, 1))
-    titles = {m: f"{m}{': ' if m in below else ''}{below.get(m, '')}" for g in _groups(grid) for m in g}
+    titles = {m: f"{m}{': ' if m in below else ''}{below.get(m, '')}" for group in grid.groups for m in group}
     parts = [*_lines(grid, at, titles), *_stars(grid, at, titles), *_buses(grid, at, titles)]
     return picture(width, height, 0.8 * width, 10, "".join(parts)), grid.faint
-
-
-def _groups(grid: _Grid) -> tuple[dict[str, dict[str, float]], ...]:
-    return grid.between, grid.beside, grid.joining
 
 
 def _grid(ports: Sequence[Passed]) -> _Grid:
