@@ -14,8 +14,7 @@ def pick(patterns: Sequence[str], names: Sequence[str], where: str, hint: str = 
     """
     found: dict[str, None] = {}
     for pattern in patterns:
-        wanted = _compiled(pattern)
-        chosen = [n for n in names if wanted.fullmatch(n) or wanted.fullmatch(n.partition("[")[0])]
+        chosen = matching(pattern, names)
         if not chosen:
             known = [*names, *dict.fromkeys(n.partition("[")[0] for n in names)]
             raise ValueError(
@@ -23,6 +22,12 @@ def pick(patterns: Sequence[str], names: Sequence[str], where: str, hint: str = 
             )
         found |= dict.fromkeys(chosen)
     return list(found)
+
+
+def matching(pattern: str, names: Sequence[str]) -> list[str]:
+    """Names that one pattern of `pick` means, in their order; none where there is none."""
+    wanted = _compiled(pattern)
+    return [n for n in names if wanted.fullmatch(n) or wanted.fullmatch(n.partition("[")[0])]
 
 
 def _compiled(pattern: str) -> re.Pattern[str]:

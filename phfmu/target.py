@@ -94,7 +94,7 @@ def scene(target: str, lenient: bool = False) -> Scene:
         return item
     if isinstance(item, PHDAE | Network):
         stop, step = RUNS.get(target.partition("(")[0], (1.0, 1e-3))
-        return Scene(item.name, item, stop, step, description=item.description)
+        return Scene(item.name, item, stop, step)
     kind = type(item).__name__
     raise TargetError(
         f"{target} gives {'an' if kind[0] in 'aeiou' else 'a'} {kind}; expected a PHDAE, a Network or a Scene"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import re
 import subprocess
 import sys
@@ -9,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from phfmu.components.library import LIBRARY
+from phfmu.components.library import LIBRARY, build
 from tests.wide import slow
 
 ROOT = Path(__file__).parent.parent
@@ -44,14 +45,16 @@ def test_every_command_of_a_page_exists_and_every_table_is_on_a_page() -> None:
     assert named == listed
 
 
-def test_every_scene_has_its_picture_in_the_gallery() -> None:
-    page = (ROOT / "docs" / "gallery.md").read_text("utf-8")
+def test_every_scene_has_its_picture_in_the_gallery(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(ROOT / "docs" / "tables")
+    gallery = importlib.import_module("gallery")
     scenes = {name for name, (kind, *_) in LIBRARY.items() if kind == "scene"}
-    drawn = re.findall(r"^\$ phfmu run (\w+) .*--plot (\w+)\.png$", page, re.MULTILINE)
-    assert {name for name, _ in drawn} == scenes == {picture for _, picture in drawn} and len(drawn) == len(scenes)
-    images = {path.stem: path.stat().st_size for path in (ROOT / "docs" / "img" / "gallery").iterdir()}
-    assert set(images) == scenes == set(re.findall(r"\(img/gallery/(\w+)\.png\)", page))
+    assert gallery.PAGE.read_text("utf-8") == gallery.page(), "python docs/tables gallery --write --picture NAME"
+    assert set(re.findall(r"\(img/gallery/(\w+)\.png\)", gallery.page())) == scenes
+    images = {path.stem: path.stat().st_size for path in gallery.IMAGES.iterdir()}
+    assert set(images) == scenes
     assert sum(images.values()) < 1_500_000
+    assert all(build(name).shown for name in scenes)
 
 
 def test_a_name_that_is_none_is_refused_with_the_names() -> None:

@@ -39,4 +39,4 @@ def bead(speed: float = 0.5, *, r: float = 1.0, m: float = 0.2, g: float = 9.81)
         observables=(observable("radius", ca.norm_2(q.sx), unit="m", description="distance from the axis"),),
         description="bead that slides off a cylinder",
     )
-    return Scene("bead", model, stop=0.8, step=0.01, description=model.description)
+    return Scene("bead", model, stop=0.8, step=0.01, shown=("q", "N"))

@@ -39,4 +39,4 @@ def bouncing_ball(m: float = 1.0, *, e: float = 0.8, height: float = 1.0, g: flo
         ),
         description="ball on a hard floor",
     )
-    return Scene("bouncing_ball", ball, stop=5.0, step=0.02, description=ball.description)
+    return Scene("bouncing_ball", ball, stop=5.0, step=0.02, shown=("q", "v"))

@@ -20,4 +20,11 @@ def breaker_opening(t_open: float = 0.02, *, chop: float = 0.0, forced: bool = F
     net.connect("grid.terminal", "line.a", name="bus")
     net.connect("line.b", "load.terminal", name="feeder")
     command = 2.0 if forced else 0.0
-    return Scene("breaker_opening", net, 0.04, 2.5e-4, (Event(t_open, "line.command", command),), net.description)
+    return Scene(
+        "breaker_opening",
+        net,
+        0.04,
+        2.5e-4,
+        (Event(t_open, "line.command", command),),
+        shown=("line.i", "load.v", "line.closed"),
+    )

@@ -29,4 +29,4 @@ def buck(duty: float = 0.4, *, R: float = 4.0, f: float = 20e3, later: float | N
     net.junction("switched", ["chopper.b", "diode.b", "coil.a"])
     net.connect("load.terminal", "coil.b", name="output")
     events = () if later is None else (Event(1.5e-3, "chopper.duty", later),)
-    return Scene("buck", net, 3e-3, 5e-6, events, net.description)
+    return Scene("buck", net, 3e-3, 5e-6, events, shown=("coil.current", "load.voltage", "chopper.duty"))

@@ -21,4 +21,6 @@ def clutch_engagement(J1: float = 2.0, J2: float = 0.7, *, speed: float = 40.0) 
     net.connect("driver.b", "clutch.a", name="input")
     net.connect("clutch.b", "load.a", name="output")
     events = Event(0.1, "clutch.engaged", 1.0), Event(0.3, "clutch.engaged", 0.0)
-    return Scene("clutch_engagement", net, stop=0.5, step=5e-3, events=events, description=net.description)
+    return Scene(
+        "clutch_engagement", net, stop=0.5, step=5e-3, events=events, shown=("driver.w", "load.w", "clutch.slip")
+    )

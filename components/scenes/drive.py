@@ -22,4 +22,4 @@ def drive() -> Scene:
     net.add("load", rotational_inertia(5e-4, d=2e-4))
     net.connect("motor.shaft", "shaft.a", name="coupling_a")
     net.connect("load.a", "shaft.b", name="coupling_b")
-    return Scene("drive", net, stop=0.1, step=1e-4, description=net.description)
+    return Scene("drive", net, stop=0.1, step=1e-4, shown=("motor.i", "motor.w", "load.w", "shaft.twist"))

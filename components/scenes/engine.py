@@ -63,7 +63,14 @@ def engine(T_fire: float = 2100.0, *, t_load: float = 0.5, relief: float = 2.0, 
     net.junction("bus1", ["gen.terminal", "line.a"])
     net.junction("bus2", ["line.b", "load.terminal"])
     events = (Event(t_load, "load.R", relief * Z / load.real),)
-    return Scene("engine", net, stop=stop, step=1e-4, events=events, description=net.description)
+    return Scene(
+        "engine",
+        net,
+        stop=stop,
+        step=1e-4,
+        events=events,
+        shown=("flywheel.w", "gen.shaft.speed", "gas.p", "gas.T", "crankshaft.b.torque", "line.i"),
+    )
 
 
 def generator_data() -> MachineData:

@@ -34,7 +34,14 @@ def island(step: float = 0.1, t_step: float = 0.5, *, stop: float = 5.0) -> Scen
     net.description = "turbine, governor, exciter, machine, line; a load is switched on"
     data, Z = _data()
     events = (Event(t_step, "more.G", step / Z),)
-    return Scene("island", net, stop=stop, step=2e-4, events=events, description=net.description)
+    return Scene(
+        "island",
+        net,
+        stop=stop,
+        step=2e-4,
+        events=events,
+        shown=("meter.frequency", "meter.voltage", "avr.Efd", "gov.valve", "gov.Pm"),
+    )
 
 
 def smib_exciter(EMAX: float = 3.0, *, t_fault: float = 0.1, t_clear: float = 0.2, stop: float = 2.0) -> Scene:
@@ -49,7 +56,14 @@ def smib_exciter(EMAX: float = 3.0, *, t_fault: float = 0.1, t_clear: float = 0.
     net.description = "machine with exciter and governor at a stiff grid; fault until the exciter is at its limit"
     _, Z = _data()
     events = (Event(t_fault, "fault.command", 1.0), Event(t_clear, "fault.command", 0.0))
-    return Scene("smib_exciter", net, stop=stop, step=1e-4, events=events, description=net.description)
+    return Scene(
+        "smib_exciter",
+        net,
+        stop=stop,
+        step=1e-4,
+        events=events,
+        shown=("avr.Efd", "meter.voltage", "gen.field.i", "gov.Pm"),
+    )
 
 
 def _data() -> tuple[MachineData, float]:

@@ -41,7 +41,14 @@ def ladder(n: int = 3, *, coordinates: Coordinates = "dq-flux") -> Scene:
         ends = [f"gen{i}.terminal", f"load{i}.terminal", f"line{i}.b"]
         net.junction(f"bus{i}", ends + ([f"line{i + 1}.a"] if i < n else []))
     event = Event(1e-3, "gen1.shaft.torque", 1.1 * start.tau)
-    return Scene(f"ladder_{n}", net, stop=1.0, step=1e-4, events=(event,), description=net.description)
+    return Scene(
+        f"ladder_{n}",
+        net,
+        stop=1.0,
+        step=1e-4,
+        events=(event,),
+        shown=("gen1.shaft.speed", "gen2.shaft.speed", "gen1.Te", "gen2.Te"),
+    )
 
 
 def _turn(angle: float) -> complex:

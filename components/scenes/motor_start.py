@@ -23,4 +23,4 @@ def motor_start(*, load: float = 198.0, double_cage: bool = False) -> Scene:
     net.junction("bus1", ["grid.terminal", "line.a"])
     net.junction("bus2", ["line.b", "motor.terminal"])
     events = (Event(0.8, "motor.shaft.torque", -load),)
-    return Scene("motor_start", net, stop=1.2, step=2e-4, events=events, description=net.description)
+    return Scene("motor_start", net, stop=1.2, step=2e-4, events=events, shown=("motor.slip", "motor.Te", "motor.i"))

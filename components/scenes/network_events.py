@@ -36,7 +36,7 @@ def short_circuit(kind: str = "ag", *, R: float = 0.5, begins: float = 0.04, cle
     net.junction("bus2", ["line.b", "load.terminal", "fault.terminal"])
     point = operating_point(net, [], 50.0)
     events = fault_events("fault", begins, clears)
-    return Scene("short_circuit", point.started(), 0.2, 1e-4, events, net.description, restart=4)
+    return Scene("short_circuit", point.started(), 0.2, 1e-4, events, restart=4, shown=("line.i",))
 
 
 def weak_grid(ratio: float = 3.0, *, P: float = 8e6, R: float = 5.0, begins: float = 0.1, clears: float = 0.2) -> Scene:
@@ -58,7 +58,14 @@ def weak_grid(ratio: float = 3.0, *, P: float = 8e6, R: float = 5.0, begins: flo
     net.connect("grid.terminal", "line.a", name="source")
     net.junction("bus", ["line.b", "filter.terminal", "fault.terminal", "inverter.terminal"])
     point = operating_point(net, [], 50.0)
-    return Scene("weak_grid", point.started(), 0.5, 1e-4, fault_events("fault", begins, clears), net.description)
+    return Scene(
+        "weak_grid",
+        point.started(),
+        0.5,
+        1e-4,
+        fault_events("fault", begins, clears),
+        shown=("inverter.U", "inverter.Id", "inverter.frequency"),
+    )
 
 
 def inrush(phase: float = -pi / 2.0, *, residual: float = 0.0) -> Scene:
@@ -80,7 +87,7 @@ def inrush(phase: float = -pi / 2.0, *, residual: float = 0.0) -> Scene:
     net.connect("grid.terminal", "cable.a", name="bus")
     net.junction("high", ["cable.b", "charging.terminal", "unit.a"])
     net.junction("low", ["unit.b", "load.terminal"])
-    return Scene("inrush", net, 0.2, 1e-4, (), net.description)
+    return Scene("inrush", net, 0.2, 1e-4, shown=("unit.i_m", "unit.linkage"))
 
 
 def ferroresonance(phase: float = -pi / 2.0, *, flux0: float = 0.0) -> Scene:
@@ -105,4 +112,4 @@ def ferroresonance(phase: float = -pi / 2.0, *, flux0: float = 0.0) -> Scene:
     net.add("iron", saturating_reactor(iron.points, 1.0, rounding=iron.rounding, v=peak, flux0=flux0 * rated_flux))
     net.junction("bus", ["grid.terminal", "cable.terminal", "open.a"])
     net.junction("core", ["open.b", "stray.terminal", "iron.terminal"])
-    return Scene("ferroresonance", net, 0.3, 2e-5, (), net.description)
+    return Scene("ferroresonance", net, 0.3, 2e-5, shown=("stray.v", "iron.i"))

@@ -20,4 +20,4 @@ def oscillator() -> Scene:
     net.add("spring12", spring(16 * pi**2, elongation=-1.0))
     net.connect("mass1.flange", "spring12.a", name="left")
     net.connect("mass2.flange", "spring12.b", name="right")
-    return Scene("oscillator", net, stop=1.0, step=0.01, description=net.description)
+    return Scene("oscillator", net, stop=1.0, step=0.01, shown=("mass1.q", "mass2.q", "mass1.v", "mass2.v"))

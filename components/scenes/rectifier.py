@@ -24,7 +24,7 @@ def rectifier(amplitude: float = 100.0, f: float = 50.0, *, phase: float = 0.4, 
     net.add("load", rl_branch(5.0, 20e-3, i0=i0, i=10.0, v=amplitude))
     net.connect("bridge.ac", "grid.terminal", name="ac")
     net.connect("bridge.dc", "load.terminal", name="dc")
-    return Scene("rectifier", net, 0.05, 5e-4, (), net.description)
+    return Scene("rectifier", net, 0.05, 5e-4, shown=("grid.current", "load.current", "bridge.blocks"))
 
 
 def six_pulse(amplitude: float = 100.0, f: float = 50.0, *, phase: float = 0.4) -> Scene:
@@ -40,4 +40,4 @@ def six_pulse(amplitude: float = 100.0, f: float = 50.0, *, phase: float = 0.4) 
     net.add("load", rl_branch(5.0, 20e-3, i=20.0, v=amplitude))
     net.junction("ac", ["bridge.ac", "grid.terminal"])
     net.connect("bridge.dc", "load.terminal", name="dc")
-    return Scene("six_pulse", net, 0.02, 2.5e-4, (), net.description)
+    return Scene("six_pulse", net, 0.02, 2.5e-4, shown=("grid.current", "load.current", "bridge.v"))

@@ -29,5 +29,11 @@ def robot_arm(*, t_go: float = 0.1, t_back: float = 0.35, t_rest: float = 0.6, s
         for name, push in PUSHES.items()
     )
     return Scene(
-        "robot_arm", arm, stop=stop, step=2e-3, events=events, description="robot arm, carried, moved and stopped"
+        "robot_arm",
+        arm,
+        stop=stop,
+        step=2e-3,
+        events=events,
+        description="robot arm, carried, moved and stopped",
+        shown=("shoulder_pan.angle", "elbow.angle", "wrist_2.angle", "flange", "elbow.torque"),
     )

@@ -31,7 +31,7 @@ def spin_down(R: float = 1.0, *, coordinates: Coordinates = "dq-flux", stop: flo
     net.add("gen", synchronous_machine(data, coordinates=coordinates, start=still))
     net.add("brake", resistor(R * Z, size=3, given="flow", nominal=sqrt(2.0 / 3.0) * data.Sn / data.Vn_rms_ll))
     net.junction("bus", ["gen.terminal", "brake.terminal"])
-    return Scene("spin_down", net, stop=stop, step=2e-4, description=net.description)
+    return Scene("spin_down", net, stop=stop, step=2e-4, shown=("gen.shaft.speed", "gen.Te", "brake.terminal.i"))
 
 
 def stall_start(*, coordinates: Coordinates = "dq-flux", stop: float = 3.0) -> Scene:
@@ -52,7 +52,7 @@ def stall_start(*, coordinates: Coordinates = "dq-flux", stop: float = 3.0) -> S
     net.add("grid", infinite_bus(v, data.fn, i=v / Z))
     net.junction("bus1", ["gen.terminal", "line.a"])
     net.junction("bus2", ["line.b", "grid.terminal"])
-    return Scene("stall_start", net, stop=stop, step=2e-4, description=net.description)
+    return Scene("stall_start", net, stop=stop, step=2e-4, shown=("gen.shaft.speed", "gen.Te", "line.i"))
 
 
 def lossless(*, coordinates: Coordinates = "dq-flux", stop: float = 1.0) -> Scene:
@@ -75,7 +75,13 @@ def lossless(*, coordinates: Coordinates = "dq-flux", stop: float = 1.0) -> Scen
     )
     net.add("bank", rlc_load(C=0.3 / Z / data.omega, nominal=v))
     net.junction("bus", ["gen.terminal", "bank.terminal"])
-    return Scene("lossless", net, stop=stop, step=1e-4, description=net.description)
+    return Scene(
+        "lossless",
+        net,
+        stop=stop,
+        step=1e-4,
+        shown=("gen.shaft.speed", "bank.v", "gen.energy.stored", "bank.energy.stored"),
+    )
 
 
 def _without_loss(name: str) -> MachineData:

@@ -58,7 +58,7 @@ def circuit(machine: str) -> tuple[MachineData, OperatingPoint, float, float, PH
 
 def _scene(name: str, net: Network, start: OperatingPoint) -> Scene:
     step = Event(0.5, "gen.shaft.torque", 1.1 * start.tau)
-    return Scene(name, net, stop=5.0, step=1e-4, events=(step,), description=net.description)
+    return Scene(name, net, stop=5.0, step=1e-4, events=(step,), shown=("gen.shaft.speed", "gen.Te", "gen.I[1]"))
 
 
 def smib_hydro() -> Scene:
@@ -100,4 +100,11 @@ def smib_breaker(
         Event(t_open, "breaker.command", command),
         Event(t_open, "fault.command", 0.0),
     )
-    return Scene("smib_breaker", net, stop=0.2, step=2e-4, events=events, description=net.description)
+    return Scene(
+        "smib_breaker",
+        net,
+        stop=0.2,
+        step=2e-4,
+        events=events,
+        shown=("gen.I[1]", "gen.I[2]", "gen.I[3]", "fault.i", "gen.Te"),
+    )

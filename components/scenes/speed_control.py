@@ -28,4 +28,4 @@ def speed_control(kp: float = 0.8, ki: float = 8.0) -> Scene:
     net.signal("rotor.w", "controller.measured")
     net.signal("controller.command", "actuator.torque")
     load = Event(0.1, "rotor.b.torque", -5.0)
-    return Scene("speed_control", net, stop=1.0, step=1e-3, events=(load,), description=net.description)
+    return Scene("speed_control", net, stop=1.0, step=1e-3, events=(load,), shown=("rotor.w", "controller.command"))

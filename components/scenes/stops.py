@@ -22,7 +22,7 @@ def buffer(e: float = 0.5) -> Scene:
     net.add("spring", spring(K, elongation=START + PRELOAD))
     net.connect("body.flange", "spring.b", name="joint")
     pulled = Event(PULLED, "spring.a.velocity", SPEED)
-    return Scene("buffer", net, stop=2.0, step=0.01, events=(pulled,), description=net.description)
+    return Scene("buffer", net, stop=2.0, step=0.01, events=(pulled,), shown=("body.q", "body.v", "spring.a.force"))
 
 
 def hard_stop() -> Scene:
@@ -38,4 +38,4 @@ def hard_stop() -> Scene:
     net.add("other", mass(M / 2))
     net.junction("left", ["wagon.flange", "spring.b", "stop.a"])
     net.connect("other.flange", "stop.b", name="right")
-    return Scene("hard_stop", net, stop=0.5, step=0.01, description=net.description)
+    return Scene("hard_stop", net, stop=0.5, step=0.01, shown=("wagon.q", "other.q", "wagon.v", "other.v"))

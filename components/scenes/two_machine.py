@@ -67,7 +67,15 @@ def two_machine(
     net.junction("bus2", ["line.b", "m2.terminal", "load.terminal", "fault.terminal"])
     events = (Event(t_fault, "fault.G", 1.0 / FAULT_R), Event(t_clear, "fault.G", 0.0))
     # the fault discharges the capacitor in 14 us, which Gauss nodes would let ring at this step
-    return Scene("two_machine", net, stop=stop, step=1e-4, events=events, description=net.description, restart=2)
+    return Scene(
+        "two_machine",
+        net,
+        stop=stop,
+        step=1e-4,
+        events=events,
+        restart=2,
+        shown=("m1.shaft.speed", "m2.shaft.speed", "load.v[1]", "m1.Te", "m2.Te"),
+    )
 
 
 def _phases(phasor: complex) -> list[float]:

@@ -22,4 +22,4 @@ def two_point_control(lower: float = 95.0, upper: float = 105.0) -> Scene:
     net.connect("rotor.a", "actuator.shaft", name="shaft")
     net.signal("rotor.w", "relay.measured")
     net.signal("relay.command", "actuator.torque")
-    return Scene("two_point_control", net, stop=2.0, step=0.02, description=net.description)
+    return Scene("two_point_control", net, stop=2.0, step=0.02, shown=("rotor.w", "relay.command"))

@@ -58,14 +58,22 @@ def wscc9(
     events = (Event(t_fault, "fault.G", 1.0), Event(t_clear, "fault.G", 0.0))
     net = _point(coordinates).started()
     net.description = "nine buses, three machines; three-phase fault at bus 7"
-    return Scene("wscc9", net, stop=stop, step=5e-5, events=events, description=net.description, restart=4)
+    return Scene(
+        "wscc9",
+        net,
+        stop=stop,
+        step=5e-5,
+        events=events,
+        restart=4,
+        shown=("gen1.shaft.speed", "gen2.shaft.speed", "gen3.shaft.speed", "bus7.v"),
+    )
 
 
 def wscc9_steady(*, stop: float = 1.0, coordinates: Coordinates = "dq-flux") -> Scene:
     """`wscc9` without the fault until `stop` [s]: a steady state, in which amplitudes, speeds and powers stay."""
     net = _point(coordinates).started()
     net.description = "nine buses, three machines, in steady state"
-    return Scene("wscc9_steady", net, stop=stop, step=5e-5, description=net.description)
+    return Scene("wscc9_steady", net, stop=stop, step=5e-5, shown=("gen2.shaft.speed", "line57.i", "bus7.v"))
 
 
 def wscc9_trip(

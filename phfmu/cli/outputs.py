@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from phfmu.audit import AuditWriter
     from phfmu.cli.checkpoints import Checkpoints
     from phfmu.declare.shape import Shape
-    from phfmu.network.scene import Event
+    from phfmu.network.scene import Event, Scene
     from phfmu.report.live_recording import LiveRecording
     from phfmu.report.view.recorded import LiveMotion
     from phfmu.results.writer import TableWriter
@@ -47,6 +47,11 @@ class Outputs:
         self._view: Path | None = None
         self._moved: LiveMotion | None = None
         self._shapes: tuple[Shape, ...] = ()
+        #: signals of the picture: patterns of the scene, unless the command names some; then those that the run has
+        self._patterns: tuple[str, ...] = ()
+        self._chosen: list[str] = []
+        self._absent: list[str] = []
+        self._asked = bool(args.signals)
         #: metadata of the audit: options, files, software and machine, as they are before the run
         self._origin: Mapping[str, object] = {}
         #: wall time spent on the result table
@@ -81,10 +86,10 @@ class Outputs:
             if here in (self._audit_path.resolve(), self._audit_path.with_suffix(".parquet").resolve()):
                 raise ValueError(f"-o and --audit both name {args.output}; give the audit a file of its own")
 
-    def begin(self, about: dict[str, str], shapes: tuple[Shape, ...] = ()) -> None:
-        """Open the audit of a run with these shapes; pictures are called by what `about` tells."""
+    def begin(self, about: dict[str, str], scene: Scene) -> None:
+        """Open the audit of a run of a scene; pictures are called by what `about` tells."""
         self._title = f"{about['target']}: {about['run']}{about['kernels']}"
-        self._target, self._shapes = about["target"], shapes
+        self._target, self._shapes, self._patterns = about["target"], scene.shapes, () if self._asked else scene.shown
         if self._audit_path:
             from phfmu.audit import AuditWriter
 
@@ -99,12 +104,16 @@ class Outputs:
         for line in () if self._quiet else ahead(options, len(names), self._table_path):
             print(f"phfmu: {line}", file=sys.stderr)
         if self._picture:
+            from phfmu.pick import matching
             from phfmu.report.live_recording import LiveRecording
             from phfmu.report.recording import Mark
 
             marks = [Mark(e.t, f"{e.name} = {e.value:.6g}") for e in events]
             told = (dict(zip(names, texts, strict=True)) for texts in (units, kinds, labels))
-            self._drawn = LiveRecording(self._title, names, marks, *told)
+            found = {pattern: matching(pattern, names) for pattern in self._patterns}
+            self._chosen = [n for some in found.values() for n in some]
+            self._absent = [pattern for pattern, some in found.items() if not some]
+            self._drawn = LiveRecording(self._title, names, marks, *told, chosen=self._chosen)
         if self._view:
             from phfmu.report.view.recorded import LiveMotion
 
@@ -213,7 +222,10 @@ class Outputs:
         from phfmu.report.picture.draw import draw
         from phfmu.report.picture.picture import picture
 
-        drawn = picture(self._drawn)
+        drawn = picture(self._drawn, self._chosen)
         draw(drawn, self._picture)
-        self.notes = drawn.notes
+        own = ["signals that the scene names for its picture; others: --signals NAME, or '*'"] if self._chosen else []
+        if self._absent:
+            own.append(f"the run has no signal {', '.join(self._absent)}, which the scene names for its picture")
+        self.notes = (*own, *drawn.notes)
         return [f"the picture {self._shown['--plot']}"]

@@ -30,7 +30,8 @@ class Scene:
     """The run of `phfmu run NAME`: stop time and step in seconds, events of the first kind; the grid lands on them.
 
     `restart`: damping steps after each event, see `phfmu.runs.restart`.  `notes`: what of the file that the scene was
-    read from is not in it, a line each.  `kept`: what that file says besides, for who writes it again.
+    read from is not in it, a line each.  `kept`: what that file says besides, for who writes it again.  `shown`: names or
+    patterns of the signals that a picture of its run has where none are named.  `description`: that of the system if empty.
     """
 
     name: str
@@ -42,10 +43,13 @@ class Scene:
     restart: int = 0
     notes: tuple[str, ...] = ()
     kept: object = None
+    shown: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if not isinstance(self.system, Network):
             require_declaration(self.system, f"scene {self.name}")
+        if not self.description:
+            object.__setattr__(self, "description", self.system.description)
 
     def __repr__(self) -> str:
         events = f", {counted(len(self.events), 'event')}" if self.events else ""

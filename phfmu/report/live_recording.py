@@ -11,7 +11,7 @@ from phfmu.results.kinds import kinds_by_name
 
 
 class LiveRecording:
-    """Keeps the signals that are drawn unasked; `units` and `kinds` by name, where they are known."""
+    """Keeps the signals that are drawn: `chosen`, or the usual ones; `units` and `kinds` by name, where they are known."""
 
     def __init__(
         self,
@@ -21,11 +21,12 @@ class LiveRecording:
         units: Mapping[str, str] | None = None,
         kinds: Mapping[str, str] | None = None,
         labels: Mapping[str, str] | None = None,
+        chosen: Sequence[str] = (),
     ):
         self.title, self.names = title, list(names)
         self.kinds = kinds_by_name(self.names) if kinds is None else kinds
         self._marks, self._units, self._labels = list(marks), units or {}, labels or {}
-        self._chosen = usual(self.names, self.kinds)
+        self._chosen = list(chosen) or usual(self.names, self.kinds)
         self._kept = list(dict.fromkeys([*self._chosen, *energy_columns(self.names, self.kinds)]))
         self._columns = [self.names.index(n) for n in self._kept]
         self._time: list[Floats] = []

@@ -57,7 +57,7 @@ def _load(structure: Structure) -> Scene:
         notes.append(f"the run starts at t = 0 instead of {structure.start:g} s")
     stop = STOP if structure.stop is None else structure.stop - structure.start
     step = structure.step or min(steps, default=STEP)
-    return Scene(net.name, net, stop, step, description=net.description, notes=tuple(notes), kept=structure.kept)
+    return Scene(net.name, net, stop, step, notes=tuple(notes), kept=structure.kept)
 
 
 def _unit(component: Component, structure: Structure, notes: list[str]) -> UnitFile:

@@ -262,6 +262,24 @@ def test_run_draws(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert f"picture: {target}" in capsys.readouterr().out and target.stat().st_size > 5000
 
 
+def test_a_scene_names_the_signals_of_its_picture(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "m.py").write_text(
+        "from phfmu import Scene\nfrom phfmu.components.mechanical.translational import mass\n"
+        "def m(): return Scene('m', mass(2.0, k=50.0, q=1.0), stop=0.1, step=0.01, shown=('q', 'speed'))\n"
+    )
+    words = ["run", "m.py:m", "--audit", "none", "--plot", "m.html"]
+    assert main(words) == 0
+    said = capsys.readouterr().out
+    assert "signals that the scene names for its picture" in said
+    assert "the run has no signal speed, which the scene names" in said
+    assert '"name":"q"' in (tmp_path / "m.html").read_text() and '"name":"v"' not in (tmp_path / "m.html").read_text()
+    assert main([*words, "--signals", "v"]) == 0
+    assert "the scene" not in capsys.readouterr().out and '"name":"q"' not in (tmp_path / "m.html").read_text()
+
+
 def torn(path: Path) -> Path:
     path.write_bytes(table(path, 50).read_bytes()[:-4])
     return path

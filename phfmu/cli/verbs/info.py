@@ -120,7 +120,7 @@ def call(args: argparse.Namespace) -> int:
     s = scene_of(args)
     told = _arguments(args.target)
     if isinstance(s.system, Network) and len(s.system.members) > FEW and not args.all:
-        _print_run(s, s.name, s.description or s.system.description, told)
+        _print_run(s, s.name, s.description, told)
         print_many(s.system)
         print(f"all names: phfmu info {args.target} --all")
         return 0

@@ -143,7 +143,7 @@ def call(args: argparse.Namespace) -> int:
 
         held = rows.events() if rows is not None and args.interpolate == "held" else ()
         marks = (e for e in chain(events, held) if e.t < chosen.stop)
-        outputs.begin({"target": args.target, "run": label, "kernels": job.kernels.words}, scene.shapes)
+        outputs.begin({"target": args.target, "run": label, "kernels": job.kernels.words}, scene)
         columns = partial(outputs.columns, chosen, marks)
         record = accuracy.recorded(args, chosen.step)
         options_here = replace(

@@ -57,4 +57,4 @@ def member(target: str) -> Scene | None:
         raise ValueError(f"{target}: expected a number of {FAMILIES[name].parts}, e.g. {name}:10")
     family = FAMILIES[name]
     declaration = family.build(int(number))
-    return Scene(declaration.name, declaration, family.stop, family.step, description=declaration.description)
+    return Scene(declaration.name, declaration, family.stop, family.step)
