@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from phfmu.cli import main
-from tests.wide import wide
+from tests.wide import marked, wide
 
 ROOT = Path(__file__).parent.parent
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
@@ -26,7 +26,7 @@ def blocks(page: Path) -> list[tuple[str, str]]:
     return BLOCK.findall(page.read_text(encoding="utf-8"))
 
 
-RUN = [p for p in PAGES if {"python", "console"} & {language for language, _ in blocks(p)}]
+RUN = [p for p in PAGES if p.stem != "gallery" and {"python", "console"} & {language for language, _ in blocks(p)}]
 
 
 def name(page: Path) -> str:
@@ -44,12 +44,16 @@ DRAWN = {".png": "matplotlib", ".html": "plotly"}
 
 #: whose blocks run for more than a second; what they do has tests of its own
 LONG = (
-    "build-a-breaker-and-a-stop", "build-a-mechanism", "build-a-multibody-model", "choose-steps", "couple-members", "gallery",
+    "build-a-breaker-and-a-stop", "build-a-mechanism", "build-a-multibody-model", "choose-steps", "couple-members",
     "import-a-model", "look-at-a-run", "units-of-other-tools", "use-an-fmu", "use-ssp", "vet-a-unit",
 )  # fmt: skip
 
 
-@pytest.mark.parametrize("page", wide(RUN, *(p for p in RUN if p.stem not in LONG)), ids=name)
+#: runs every scene, as many other tests do
+GALLERY = marked(ROOT / "docs" / "gallery.md", pytest.mark.long)
+
+
+@pytest.mark.parametrize("page", [*wide(RUN, *(p for p in RUN if p.stem not in LONG)), GALLERY], ids=name)
 def test_blocks_run(
     compiler: None, page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -72,6 +76,7 @@ def test_blocks_run(
                 program, *arguments = shlex.split(command)
                 assert program == "phfmu", command
                 assert main(arguments) == 0, f"{command}\n{capsys.readouterr().err}"
+                assert "which the scene names for its picture" not in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name)

@@ -13,9 +13,11 @@ from phfmu.cli import main
 from phfmu.components.library import LIBRARY, build
 from phfmu.components.mechanical.translational import mass
 from phfmu.network.couplings.named import named_coupling
+from phfmu.pick import matching
 from phfmu.results.file import open_result
 from phfmu.schemes.collocated import Collocated
 from phfmu.signals import LEDGER, STEP_LEDGER, end_name, total
+from tests.wide import turning
 
 STEPS = 8
 #: relative to the largest value of a column
@@ -102,21 +104,18 @@ def test_columns_are_those_of_the_composed_run(name: str, k: int) -> None:
     assert differing(one, two) == ON_POLYNOMIALS[name]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("k", [1, 2, 3])
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize(("name", "k"), turning(SCENES, [1, 2, 3]))
 def test_columns_of_all_scenes(name: str, k: int) -> None:
     scene = build(name)
     one, two = both(scene.system, k, scene.step, NativeInstance, events=scene.events)
     same_names(one, two)
     assert len(two.names) == len(one.names)
+    assert all(matching(pattern, one.names) for pattern in scene.shown), "signals of its picture"
     if name in ON_POLYNOMIALS:
         assert differing(one, two) <= ON_POLYNOMIALS[name]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("order", [2, 4, 6])
-@pytest.mark.parametrize("name", [n for n in SCENES if n not in NO_UNITS])
+@pytest.mark.parametrize(("name", "order"), turning([n for n in SCENES if n not in NO_UNITS], [2, 4, 6]))
 def test_columns_of_units(name: str, order: int, tmp_path: Path) -> None:
     """Units add what only they tell, before the free inputs."""
     scene, tables = build(name), []

@@ -28,7 +28,7 @@ import numpy as np
 from phfmu.components.mechanical.multibody.body import Body
 from phfmu.components.mechanical.multibody.builder import Multibody
 from phfmu.components.mechanical.multibody.joint import Side
-from phfmu.components.mechanical.multibody.parts import Particle
+from phfmu.components.mechanical.multibody.parts import Combined, Particle
 
 if TYPE_CHECKING:
     from phfmu.components.mechanical.multibody.declaration import Declaration
@@ -88,16 +88,20 @@ class Bushing:
 
 
 class Framed:
-    """A bushing in the making: its sides, its parameters, and what it stores and dissipates."""
+    """A bushing in the making: its sides, its parameters, and what it stores and dissipates.
+
+    principal: principal axes of its second body;  points: the particles of both bodies
+    """
 
     def __init__(
         self,
         made: Multibody,
         bushing: Bushing,
         sides: tuple[Callable[[Any], Side], Callable[[Any], Side]],
+        principal: list[Combined],
         points: list[Particle],
     ):
-        self.made, self.bushing, self.sides, self.points = made, bushing, sides, points
+        self.made, self.bushing, self.sides, self.principal, self.points = made, bushing, sides, principal, points
         self.dim = made.dim
         #: parameter of a property in a direction, where it is not zero
         self.value: dict[tuple[str, int], ca.SX] = {}
@@ -113,7 +117,8 @@ class Framed:
                 self.value[what, int(i)] = self.made.parameter(
                     label, given, unit=unit[int(i > 2)], min=0.0, description=text
                 ).sx
-        for i in np.flatnonzero(b.neutral):
+        # where one is displaced all have the parameter, so that they are of one kind
+        for i in range(self.dim) if np.any(b.neutral) else ():
             label, text = f"{b.name}.neutral_{AXES[i]}", f"displacement at which {b.name} is not loaded"
             self.value["neutral", int(i)] = self.made.parameter(
                 label, float(b.neutral[i]), unit="m", description=text
@@ -166,12 +171,23 @@ class Framed:
 
     def _rate(self, i: int, at: Any, speed: Any) -> ca.SX:
         """Rate of s_i, or angular velocity of b beside a about axis i of a."""
-        (a, b), (da, db) = self._seen(at), self._seen(speed)
         if i >= 3:
-            spin = _spin(b, db, self.dim) - _spin(a, da, self.dim)
-            return spin if self.dim == 2 else ca.dot(getattr(a, AXES[i - 3]), spin)
+            return self._turning(i - 3, at, speed)
+        (a, b), (da, db) = self._seen(at), self._seen(speed)
         axis = AXES[i]
         return ca.dot(getattr(a, axis), db.p - da.p) + ca.dot(getattr(da, axis), b.p - a.p)
+
+    def _turning(self, i: int, at: Any, speed: Any) -> ca.SX:
+        """w_i = sum_j c_kj c_lj', i, k, l in turn, of the cosines c_kj = a_k . e_j; in the plane k, l = x, y.
+
+        Made of cosines alone, it vanishes where both bodies turn together, also for means of positions, whose axes are not
+        orthogonal: what brakes one body drives the other, and no angular momentum is made.
+        """
+        (a, _), (da, _) = self._seen(at), self._seen(speed)
+        k, l = (AXES[(i + 1) % 3], AXES[(i + 2) % 3]) if self.dim == 3 else "xy"
+        first, second, rate = getattr(a, k), getattr(a, l), getattr(da, l)
+        axes = [(at(point), speed(point)) for point in self.principal]
+        return sum((ca.dot(first, e) * (ca.dot(rate, e) + ca.dot(second, de)) for e, de in axes), ca.SX(0))
 
     # -- what it tells --------------------------------------------------------------------------------------------------
 
@@ -235,8 +251,8 @@ def _euler_square(i: int, a: Side, b: Side, dim: int) -> ca.SX:
     """e_i^2 of the rotation from the axes of a to those of b, of 1 - a_j . b_j = |b_j - a_j|^2/2: small where it is small."""
     if dim == 2:
         return 0.25 * ca.sumsqr(b.x - a.x)
-    parts = ((-1 if j == i else 1) * ca.sumsqr(getattr(b, AXES[j]) - getattr(a, AXES[j])) for j in range(3))
-    return 0.125 * sum(parts, ca.SX(0))
+    own, *others = (ca.sumsqr(getattr(b, AXES[j]) - getattr(a, AXES[j])) for j in (i, *(k for k in range(3) if k != i)))
+    return 0.125 * (others[0] + others[1] - own)
 
 
 def _angle_square(square: ca.SX) -> ca.SX:
@@ -271,13 +287,6 @@ def _angles(a: Side, b: Side, dim: int) -> ca.SX:
     trace = sum((ca.dot(getattr(a, x), getattr(b, x)) for x in AXES), ca.SX(0))
     e = skew / ca.sqrt(ca.fmax(1 + trace, SQUARE))
     return 2 * ca.asin(ca.fmax(-1, ca.fmin(1, e)))
-
-
-def _spin(side: Side, rate: Side, dim: int) -> ca.SX:
-    """Angular velocity of a side."""
-    if dim == 2:
-        return _cross(side.x, rate.x)
-    return 0.5 * sum((ca.cross(getattr(side, x), getattr(rate, x)) for x in AXES), ca.SX(3, 1))
 
 
 def _cross(x: ca.SX, y: ca.SX) -> ca.SX:

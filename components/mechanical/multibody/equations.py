@@ -298,7 +298,8 @@ class Equations:
         one, other = JointSide(self, bushing, "a"), JointSide(self, bushing, "b")
         bodies = [body for body in (bushing.a, bushing.b) if body is not None]
         points = [p for body in bodies for p in self.particles[id(body)]]
-        Framed(self.made, bushing, (one.seen, other.seen), points).add(self.observe)
+        principal = [self.direction(bushing.b, column) for column in ca.horzsplit(ca.DM.eye(self.dim))]
+        Framed(self.made, bushing, (one.seen, other.seen), principal, points).add(self.observe)
 
 
 class JointSide:
