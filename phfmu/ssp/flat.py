@@ -229,9 +229,9 @@ class _Flattening:
             if isinstance(element, System):
                 self._bind(element, (*path, name))
             elif isinstance(element, Component):
-                for key, value in _bound(element.bindings).items():
+                for key, value in bound(element.bindings).items():
                     self.values[(*path, name), key] = value
-        for key, value in _bound(system.bindings).items():
+        for key, value in bound(system.bindings).items():
             for place, connector in _named_by(system, path, key):
                 self.values[place] = value if connector is None else self._at(value, connector)
 
@@ -299,7 +299,8 @@ def identifier(text: str) -> str:
     return name if name and not name[0].isdigit() else f"m_{name}"
 
 
-def _bound(bindings: tuple[Binding, ...]) -> dict[str, Value]:
+def bound(bindings: tuple[Binding, ...]) -> dict[str, Value]:
+    """The values of all bindings, of which the last counts most."""
     out: dict[str, Value] = {}
     for b in bindings:
         out |= {n: Value(v, b.units.get(n)) for n, v in b.values.items()}

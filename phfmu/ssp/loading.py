@@ -49,7 +49,7 @@ def _load(structure: Structure) -> Scene:
     notes += lines
     net = Network(identifier(structure.system.name or structure.name), description=structure.system.description)
     for name, unit in units.items():
-        net.add(name, _with_values(name, unit, whole.values.get(name, {}), notes))
+        net.add(name, with_values(name, unit, whole.values.get(name, {}), notes))
     _join(net, whole.joints, found)
     _wire(net, rest)
     steps = [u.interface.step for u in units.values() if u.interface.step]
@@ -91,7 +91,7 @@ def _unit_of(unit: UnitFile, name: str) -> Unit | None:
     return None if found is None else Unit(found.text, found.factor, 0.0, found.exponents)
 
 
-def _with_values(name: str, unit: UnitFile, values: Mapping[str, Value], notes: list[str]) -> UnitFile:
+def with_values(name: str, unit: UnitFile, values: Mapping[str, Value], notes: list[str]) -> UnitFile:
     """Values before the start, in the unit's own units; the standard ignores names that a unit has not."""
     settable, starts = unit.settable_names(), {}
     for variable, value in values.items():

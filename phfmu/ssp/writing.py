@@ -91,7 +91,7 @@ def write_package(path: Path, contents: Contents) -> list[str]:
         files[f"resources/{name}.fmu"] = unit.path.read_bytes()
         if unit.port_maps != unit.interface.ports:
             files[f"resources/{name}{ENDING}"] = sidecar_text(unit.port_maps).encode()
-        if values := _values(unit):
+        if values := values_before(unit):
             files[f"resources/{name}.ssv"] = parameter_set(values, unit, contents.version)
     write(path, files)
     hidden = [f"signal {w}" for w in contents.network.wires if not _is_output(units, w)]
@@ -229,7 +229,7 @@ def _component(parent: Element, name: str, unit: UnitFile, contents: Contents) -
             type_.set("unit", v.unit)
         part.onto(connector, *CONNECTOR)
     kept.component(name).onto(component, "ElementGeometry")
-    if _values(unit):
+    if values_before(unit):
         bindings = etree.SubElement(component, tag("ssd", "ParameterBindings"))
         etree.SubElement(bindings, tag("ssd", "ParameterBinding"), source=f"resources/{name}.ssv")
     kept.component(name).onto(component, META, "Annotations")
@@ -245,8 +245,8 @@ def _connected(unit: UnitFile) -> list[Scalar]:
     return [v for v in unit.interface.variables.values() if v.causality in _KINDS]
 
 
-def _values(unit: UnitFile) -> dict[str, float]:
-    """Parameters, and what else was set before the start."""
+def values_before(unit: UnitFile) -> dict[str, float]:
+    """Values of a unit before its start: parameters, and what else was set before the start."""
     variables = unit.interface.variables
     own = {n: v.start for n, v in variables.items() if v.causality == "parameter" and v.start is not None}
     return own | dict(unit.starts)
