@@ -17,6 +17,7 @@ from phfmu.ssp.bonds import Bond, End, Ports, bonds, derived_ports, joins_plainl
 from phfmu.ssp.flat import Link, Value, flat, identifier
 from phfmu.ssp.reading import read_structure
 from phfmu.ssp.structure import Component, Joint, SSPError, Structure, Unit
+from phfmu.ssp.terminals import KIND as TERMINAL
 from phfmu.ssp.units import conversion, undefined
 from phfmu.words import meant
 
@@ -68,7 +69,7 @@ def _unit(component: Component, structure: Structure, notes: list[str]) -> UnitF
     for c in component.connectors.values():
         where = f"component '{component.name}', connector '{c.name}'"
         if c.name not in known:
-            if c.type in ("String", "Binary", "Clock"):
+            if c.kind == TERMINAL or c.type in ("String", "Binary", "Clock"):
                 continue
             raise SSPError(f"{where}: {component.source} has no such variable; {meant(c.name, known)}")
         variable = known[c.name]

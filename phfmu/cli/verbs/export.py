@@ -67,7 +67,8 @@ def add_parser(verbs: Any) -> None:
     parser.add_argument("--sequence", metavar="A,B,..",
                         help=f"the order in which --coupling {GAUSS_SEIDEL.name} steps the members")  # fmt: skip
     parser.add_argument("--ssp", nargs="?", const=SSP_VERSIONS[0], choices=SSP_VERSIONS, metavar="VERSION",
-                        help="a package of SSP (1.0 or 2.0; default 1.0): members as units, parameters, connections")  # fmt: skip
+                        help="a package of SSP (default 1.0; 2.1, with terminals, is a draft): members as units, "
+                        "parameters, connections")  # fmt: skip
     options.add_grid(parser)
     options.add_lenient(parser)
     add_settings(parser)
