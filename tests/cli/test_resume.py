@@ -26,6 +26,7 @@ RUNS = {
     "events within a tolerance": ("buffer", "--stop", "25", "--rtol", "1e-6"),
     "switches": ("buck", "--stop", "0.02"),
     "thinned": ("pendulum", "--stop", "1000", "--every", "7"),
+    "steps by energy, taken again": ("oscillator", "--coupling", "anderson", "--stop", "20", "--energy-rtol", "1e-5"),
     "members apart, hashes": ("oscillator", "--coupling", "newton", "--stop", "20", "--hash-states", "7"),
 }
 #: units of their own libraries;  in turn;  switches of members that land as one
