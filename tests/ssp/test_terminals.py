@@ -27,7 +27,7 @@ from tests.ssp.documents import (
     system,
 )
 from tests.ssp.packages import document, pack, unpacked
-from tests.wide import slow
+from tests.wide import marked, slow
 
 ROD = (("force", "local", "N"), ("velocity", "local", "m/s"))
 
@@ -63,7 +63,7 @@ def made(folder: Path, units: dict[str, bytes], content: str, after: str | None 
     ("scene", "options"),
     [
         ("oscillator", ["--fmi", "3"]),
-        slow(("oscillator", ["--fmi", "2", "--outward", "mass1.flange"])),
+        marked(("oscillator", ["--fmi", "2", "--outward", "mass1.flange"]), pytest.mark.long),
         slow(("smib", [])),
     ],
 )
