@@ -97,6 +97,7 @@ def _checked(s: Steps, n: int, c: int, q: int, parts: int) -> Steps:
         terms=None if s.terms is None else np.array(s.terms, np.float64, ndmin=2),
         iterations=_maybe("iterations", s.iterations, (n,)),
         accepted_by=None if s.accepted_by is None else np.array(s.accepted_by),
+        rejected=_maybe("rejected", s.rejected, (n,)),
     )
 
 

@@ -34,7 +34,7 @@ _PLAIN = {
     "builtins": ("set", "frozenset", "slice", "range", "complex", "bytearray"),
 }
 #: options that a checkpoint has no place for
-_WITHOUT = ("plot", "view", "accuracy")
+_WITHOUT = ("accuracy",)
 
 
 class Checkpoints:

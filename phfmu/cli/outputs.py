@@ -14,6 +14,7 @@ import numpy as np
 from phfmu.cli.options import audit_file
 from phfmu.cli.progress import ahead
 from phfmu.fmu.isolation import exit_guard
+from phfmu.runs.carried import carried, carry
 
 if TYPE_CHECKING:
     from phfmu.audit import AuditWriter
@@ -114,10 +115,12 @@ class Outputs:
             self._chosen = [n for some in found.values() for n in some]
             self._absent = [pattern for pattern, some in found.items() if not some]
             self._drawn = LiveRecording(self._title, names, marks, *told, chosen=self._chosen)
+            self._go_on(self._drawn, "picture")
         if self._view:
             from phfmu.report.view.recorded import LiveMotion
 
             self._moved = LiveMotion(self._target, self._shapes, names, options.t0, options.stop)
+            self._go_on(self._moved, "motion")
         if self._table_path:
             from phfmu.results.writer import TableWriter
 
@@ -127,11 +130,18 @@ class Outputs:
                 self._table_path, names, units, marked, self._units_row, kinds, labels, going_on, marks
             )
 
+    def _go_on(self, kept: LiveRecording | LiveMotion, name: str) -> None:
+        """With the rows that a run that was ended had kept for a picture or a motion."""
+        if (found := self._checkpoints.outputs.get(name)) is not None:
+            carry(kept, found)
+
     def marks(self) -> dict[str, Any]:
-        """Where its files are, all rows so far on the disk."""
+        """Where its files are, all rows so far on the disk, and the rows that are kept for pictures."""
         return {
             "audit": None if self.sink is None else self.sink.mark(),
             "table": None if self.table is None else self.table.mark(),
+            "picture": None if self._drawn is None else carried(self._drawn),
+            "motion": None if self._moved is None else carried(self._moved),
         }
 
     def keep(self, time: np.ndarray, values: np.ndarray, inside: np.ndarray) -> None:

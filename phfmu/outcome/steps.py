@@ -60,6 +60,8 @@ class Steps:
     iterations: Array | None = None
     #: by which test a coupling took the step (n names), None without one
     accepted_by: Array | None = None
+    #: longer trials from the start of each step that were taken back (n), None where steps are not taken again
+    rejected: Array | None = None
     #: what a coupling did at its junctions, part by part (n x parts), None where its junctions have no parts
     works: Array | None = None
     #: energy through each pair by the values that were exchanged (n x q), None where no member could book another

@@ -13,6 +13,8 @@ from phfmu.results.kinds import kinds_by_name
 class LiveRecording:
     """Keeps the signals that are drawn: `chosen`, or the usual ones; `units` and `kinds` by name, where they are known."""
 
+    CARRIED = ("_time", "_values", "_marks")
+
     def __init__(
         self,
         title: str,

@@ -17,7 +17,7 @@ with E_k the energy that has passed through it in the run, P_k the power of the 
 [J] (default 0) and of what passes in the first trial, of length `--step`: from rest all of a short step may be residual.  An
 energy dE that is lost at a level E moves amplitudes by dE / sqrt(E), so the right side asks for an error of amplitudes relative
 to the largest so far.  The junction with the largest ratio decides.  Where all members can take a step back, one that misses
-the tolerance is taken again; else only the next one is smaller.
+the tolerance is taken again; else only the next one is smaller.  The audit tells of each step how often (`rejected`).
 
 `--ecco TOL` (energy-conservation-based co-simulation): eps^2 = 1/N sum_k (made_k / (TOL (1 J + e_k)))^2 for couplings that take
 each step once, none again.
@@ -30,7 +30,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -138,7 +138,7 @@ class EnergySteps:
 
     def advance(self, t: float, end: float, restart: bool = False) -> tuple[list[float], Steps]:
         """One step from t, not beyond `end`: where it ends (`end` to the last bit), and the step."""
-        limit = self._rule.most
+        limit, rejected = self._rule.most, self._rejected
         while True:
             left = end - t
             whole = self._h >= left * (1 - NEAR)
@@ -168,6 +168,8 @@ class EnergySteps:
             self._steps += 1
             if self._steps >= self._rule.first:
                 self._control(h, max(error, NOTHING), limit)
+            if self._again:
+                steps = replace(steps, rejected=np.full(len(steps.H), self._rejected - rejected))
             return [end if whole else t + h], steps
 
     def _eps(self, made: Array, passed: Array) -> float:

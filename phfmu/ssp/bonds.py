@@ -103,6 +103,8 @@ def _bond(
     factors = [_factor(way, a, b) for way in (there, back)]
     # counted into both units, in units of the domain
     into = [factors[0] * pb.input_sign / pa.output_sign, factors[1] * pa.input_sign / pb.output_sign]
+    if all(link.terminal for link, _, _ in (*there, *back)) and all(isclose(abs(g), 1.0, rel_tol=1e-9) for g in into):
+        return Bond(a, b, "0" if pa.domain.common == "effort" else "1")  # by FMI 3.0: what flows in sums to zero
     if not isclose(into[0] * into[1], -1.0, rel_tol=1e-9) or not isclose(abs(into[0]), 1.0, rel_tol=1e-9):
         raise SSPError(_powered(a, b, there[0][0], back[0][0], pa, pb, into))
     effort = into[0] if pa.given == "flow" else into[1]

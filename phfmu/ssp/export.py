@@ -11,12 +11,14 @@ from phfmu.declare.phdae import PHDAE
 from phfmu.discretise.model import build_model
 from phfmu.fmu.export.export import export
 from phfmu.fmu.importer.unit_file import UnitFile, unit_file
+from phfmu.network.junction import End
 from phfmu.network.network import Network
 from phfmu.network.scene import Scene
 from phfmu.schemes.scheme import Scheme
+from phfmu.ssp.bonds import joins_plainly
 from phfmu.ssp.flat import identifier
 from phfmu.ssp.kept import Kept
-from phfmu.ssp.names import VERSIONS
+from phfmu.ssp.names import DRAFT, VERSIONS
 from phfmu.ssp.structure import SSPError
 from phfmu.ssp.writing import Contents, write_package
 from phfmu.words import meant
@@ -51,7 +53,7 @@ def export_ssp(scene: Scene, directory: str | Path, options: Options, version: s
     if version not in VERSIONS:
         raise SSPError(f"SSP version '{version}'; known: {', '.join(VERSIONS)}")
     net = network_of(scene)
-    outward = _outward(net, options.outward)
+    outward = _outward(net, _turned(net, options.outward) if version == DRAFT else options.outward)
     path = Path(directory) / f"{net.name}.ssp"
     with tempfile.TemporaryDirectory(prefix="phfmu-") as folder:
         units = replace(net, members={})
@@ -70,6 +72,28 @@ def _outward(net: Network, names: Sequence[str]) -> dict[str, list[str]]:
         if name not in known:
             raise SSPError(f"{net.name} has no port '{name}' that could count outward; {meant(name, known)}")
     return {m: [n.partition(".")[2] for n in names if n.partition(".")[0] == m] for m in net.members}
+
+
+def _turned(net: Network, names: Sequence[str]) -> list[str]:
+    """The outward ports, and one of each pair whose flows would both count the same way: terminals have no factor."""
+    turned = list(names)
+    for j in net.junctions:
+        if not joins_plainly([net.port_of(e).given for e in j.ends]):
+            continue
+        inward = [_inward(net, e, turned) for e in j.ends]
+        free = [str(e) for e in j.ends if isinstance(net.members[e.member], PHDAE)]
+        if inward[0] == inward[1] and j.shared == net.port_of(j.ends[0]).domain.common and free:
+            end = free[-1]
+            turned = [n for n in turned if n != end] if end in turned else [*turned, end]
+    return turned
+
+
+def _inward(net: Network, end: End, outward: Sequence[str]) -> bool:
+    """Whether a port counts its flow into its unit."""
+    member = net.members[end.member]
+    if isinstance(member, PHDAE):
+        return str(end) not in outward
+    return next(p.sign for p in member.port_maps if p.name == end.port) > 0
 
 
 def _unit(net: Network, name: str, folder: Path, options: Options, outward: list[str]) -> UnitFile:

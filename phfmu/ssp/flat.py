@@ -71,13 +71,14 @@ def connector_of(element: Component | System | Reference, name: str, where: str)
 
 @dataclass(frozen=True)
 class Link:
-    """From an output of one unit to an input of another: input = linear(output)."""
+    """From an output of one unit to an input of another: input = linear(output); `terminal`: of terminals all the way."""
 
     source: str
     output: str
     target: str
     input: str
     linear: Linear
+    terminal: bool = False
 
     def __str__(self) -> str:
         factor = "" if self.linear == Linear() else f" (times {self.linear.factor:g}, plus {self.linear.offset:g})"
@@ -113,8 +114,8 @@ class _Flattening:
         self.components = dict(_components(structure.system, ()))
         self.names = _members(self.components)
         self.dictionaries = dict(_dictionaries(structure.system, ()))
-        #: what feeds a connector: (path, name) -> (path, name) and the map
-        self.fed: dict[tuple[Path, str], tuple[tuple[Path, str], Linear]] = {}
+        #: what feeds a connector: (path, name) -> (path, name), the map, and whether it is a connection of terminals
+        self.fed: dict[tuple[Path, str], tuple[tuple[Path, str], Linear, bool]] = {}
         self.values: dict[tuple[Path, str], Value] = {}
 
     def result(self) -> Flat:
@@ -147,7 +148,7 @@ class _Flattening:
             if key in self.fed:
                 other, name = self.fed[key][0]
                 raise SSPError(f"{target} is fed twice: by {'.'.join((*other, name))} and by {source}")
-            self.fed[key] = ((source.path, source.connector.name), self._linear(c, source, target))
+            self.fed[key] = ((source.path, source.connector.name), self._linear(c, source, target), c.terminal)
         for name, element in system.elements.items():
             if isinstance(element, System):
                 self._connect(element, (*path, name))
@@ -207,15 +208,15 @@ class _Flattening:
 
     def _followed(self, path: Path, name: str) -> Iterator[Link]:
         """The link that ends at a variable of a unit; none where it begins at a connector of a system that nothing feeds."""
-        at, linear, seen = (path, name), Linear(), set[tuple[Path, str]]()
+        at, linear, terminal, seen = (path, name), Linear(), True, set[tuple[Path, str]]()
         while at in self.fed:
             if at in seen:
                 raise SSPError(f"connections go round in a circle at {'.'.join((*at[0], at[1]))}")
             seen.add(at)
-            at, step = self.fed[at]
-            linear = step.then(linear)
+            at, step, of_terminals = self.fed[at]
+            linear, terminal = step.then(linear), terminal and of_terminals
             if at[0] in self.names:
-                yield Link(self.names[at[0]], at[1], self.names[path], name, linear)
+                yield Link(self.names[at[0]], at[1], self.names[path], name, linear, terminal)
                 return
         if at in self.values:
             given = self.values[at]
@@ -229,9 +230,9 @@ class _Flattening:
             if isinstance(element, System):
                 self._bind(element, (*path, name))
             elif isinstance(element, Component):
-                for key, value in _bound(element.bindings).items():
+                for key, value in bound(element.bindings).items():
                     self.values[(*path, name), key] = value
-        for key, value in _bound(system.bindings).items():
+        for key, value in bound(system.bindings).items():
             for place, connector in _named_by(system, path, key):
                 self.values[place] = value if connector is None else self._at(value, connector)
 
@@ -299,7 +300,8 @@ def identifier(text: str) -> str:
     return name if name and not name[0].isdigit() else f"m_{name}"
 
 
-def _bound(bindings: tuple[Binding, ...]) -> dict[str, Value]:
+def bound(bindings: tuple[Binding, ...]) -> dict[str, Value]:
+    """The values of all bindings, of which the last counts most."""
     out: dict[str, Value] = {}
     for b in bindings:
         out |= {n: Value(v, b.units.get(n)) for n, v in b.values.items()}

@@ -17,6 +17,7 @@ from phfmu.ssp.bonds import Bond, End, Ports, bonds, derived_ports, joins_plainl
 from phfmu.ssp.flat import Link, Value, flat, identifier
 from phfmu.ssp.reading import read_structure
 from phfmu.ssp.structure import Component, Joint, SSPError, Structure, Unit
+from phfmu.ssp.terminals import KIND as TERMINAL
 from phfmu.ssp.units import conversion, undefined
 from phfmu.words import meant
 
@@ -49,7 +50,7 @@ def _load(structure: Structure) -> Scene:
     notes += lines
     net = Network(identifier(structure.system.name or structure.name), description=structure.system.description)
     for name, unit in units.items():
-        net.add(name, _with_values(name, unit, whole.values.get(name, {}), notes))
+        net.add(name, with_values(name, unit, whole.values.get(name, {}), notes))
     _join(net, whole.joints, found)
     _wire(net, rest)
     steps = [u.interface.step for u in units.values() if u.interface.step]
@@ -68,7 +69,7 @@ def _unit(component: Component, structure: Structure, notes: list[str]) -> UnitF
     for c in component.connectors.values():
         where = f"component '{component.name}', connector '{c.name}'"
         if c.name not in known:
-            if c.type in ("String", "Binary", "Clock"):
+            if c.kind == TERMINAL or c.type in ("String", "Binary", "Clock"):
                 continue
             raise SSPError(f"{where}: {component.source} has no such variable; {meant(c.name, known)}")
         variable = known[c.name]
@@ -91,7 +92,7 @@ def _unit_of(unit: UnitFile, name: str) -> Unit | None:
     return None if found is None else Unit(found.text, found.factor, 0.0, found.exponents)
 
 
-def _with_values(name: str, unit: UnitFile, values: Mapping[str, Value], notes: list[str]) -> UnitFile:
+def with_values(name: str, unit: UnitFile, values: Mapping[str, Value], notes: list[str]) -> UnitFile:
     """Values before the start, in the unit's own units; the standard ignores names that a unit has not."""
     settable, starts = unit.settable_names(), {}
     for variable, value in values.items():

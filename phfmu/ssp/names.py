@@ -21,7 +21,9 @@ ROOTS = {
     "ssm": "ParameterMapping",
     "ssb": "SignalDictionary",
 }
-VERSIONS = ("1.0", "2.0")
+VERSIONS = ("1.0", "2.0", "2.1")
+#: of which it is a draft: 2.0 with terminals
+DRAFT = "2.1"
 STRUCTURE = "SystemStructure.ssd"
 FMU = "application/x-fmu-sharedlibrary"
 #: components that are systems: another description, another package

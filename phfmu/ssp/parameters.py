@@ -39,9 +39,9 @@ def bindings(element: Element, source: Source) -> tuple[Binding, ...]:
 
 def _binding(element: Element, source: Source) -> Binding:
     root, where = document(element, tag("ssd", "ParameterValues"), "ssv", _SET, source)
-    bare, units_of = _values(root, where, source)
+    told = _values(root, where, source.notes, source.lenient)
     prefix = element.get("prefix", "")
-    values, units = {prefix + n: v for n, v in bare.items()}, {prefix + n: u for n, u in units_of.items()}
+    values, units = {prefix + n: v for n, v in told.values.items()}, {prefix + n: u for n, u in told.units.items()}
     mapping = element.find(tag("ssd", "ParameterMapping"))
     if mapping is None:
         return Binding(values, units)
@@ -75,9 +75,17 @@ def document(element: Element, inline: str | None, kind: str, type_: str, source
     return root, where
 
 
-def _values(root: Element, where: str, source: Source) -> tuple[dict[str, float], dict[str, Unit]]:
+def parameter_values(data: bytes, where: str, notes: list[str]) -> Binding:
+    """The values of a parameter set (.ssv) by itself; lines about what is left out or not checked go to `notes`."""
+    root = parse(data, where)
+    if line := require_valid(root, "ssv", where):
+        notes.append(line)
+    return _values(root, where, notes, False)
+
+
+def _values(root: Element, where: str, notes: list[str], lenient: bool) -> Binding:
     """Numbers by name, entries of vectors as name[1]; and the units of those that tell theirs."""
-    notes, known = source.notes, read_units(root, "ssv")
+    known = read_units(root, "ssv")
     values: dict[str, float] = {}
     units: dict[str, Unit] = {}
     for p in root.find(tag("ssv", "Parameters")):
@@ -93,8 +101,8 @@ def _values(root: Element, where: str, source: Source) -> tuple[dict[str, float]
         if unit in known:
             units |= dict.fromkeys(names, known[unit])
         elif unit:
-            notes += undefined(f"{where}: the parameter '{name}'", unit, source.lenient)
-    return values, units
+            notes += undefined(f"{where}: the parameter '{name}'", unit, lenient)
+    return Binding(values, units)
 
 
 def _number(text: str, where: str, name: str) -> float:

@@ -30,6 +30,8 @@ from phfmu.ssp.structure import (
     Unit,
     entries,
 )
+from phfmu.ssp.terminals import KIND as TERMINAL
+from phfmu.ssp.terminals import Terminal, of_members, read_terminals, type_of
 from phfmu.ssp.units import read_units
 from phfmu.words import meant
 
@@ -70,10 +72,12 @@ class _Reader:
     def __init__(self, source: Source, depth: int):
         self.source, self.where, self.depth = source, source.where, depth
         self.units: dict[str, Unit] = {}
+        self.types: dict[str, Terminal] = {}
 
     def structure(self, root: Element) -> Structure:
         system = root.find(tag("ssd", "System"))
         self.units = read_units(root, "ssd")
+        self.types = read_terminals(root, self.where)
         experiment = root.find(tag("ssd", "DefaultExperiment"))
         times = {} if experiment is None else experiment.attrib
         step = next((e.get("step") for e in _annotations(system, "Network") if e.get("step")), None)
@@ -110,7 +114,7 @@ class _Reader:
         return System(
             name,
             elements,
-            tuple(self.connection(c) for c in _children(element, "Connections")),
+            tuple(self.connections(element)),
             connectors,
             bindings(element, self.source),
             tuple(self.joint(j) for n in _annotations(element, "Network") for j in n.findall(f"{{{PORTS}}}Junction")),
@@ -196,6 +200,19 @@ class _Reader:
         shape = tuple(int(size or 0) for size in sizes)
         limits.within(self.where, prod(shape), limits.VARIABLES, f"entries of the connector '{plain(name, 200)}'")
         return shape
+
+    def connections(self, system: Element) -> Iterator[Connection]:
+        """Those of a system, those of terminals as those of their members."""
+        owners = {"": system} | {plain(e.get("name", "")): e for e in _children(system, "Elements")}
+        terminals = {
+            (owner, name): type_of(c, self.types, f"{self.where}: '{owner or plain(system.get('name', ''))}.{name}'")
+            for owner, e in owners.items()
+            for c in _children(e, "Connectors")
+            if c.get("kind") == TERMINAL and (name := plain(c.get("name", "")))
+        }
+        for c in map(self.connection, _children(system, "Connections")):
+            one, other = (terminals.get(end) for end in c.ends)
+            yield from of_members(c, (one, other), self.where)
 
     def connection(self, element: Element) -> Connection:
         start = plain(element.get("startElement", "")), plain(element.get("startConnector", ""))

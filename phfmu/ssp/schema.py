@@ -13,8 +13,9 @@ from typing import Any
 
 from phfmu.fmu.words import plain
 from phfmu.fmu.xml import Element, etree
-from phfmu.ssp.names import ROOTS, VERSIONS, tag
+from phfmu.ssp.names import DRAFT, ROOTS, VERSIONS, tag
 from phfmu.ssp.structure import SSPError
+from phfmu.ssp.terminals import without
 
 _FILES = {
     "ssd": "SystemStructureDescription.xsd",
@@ -39,6 +40,9 @@ def version_of(root: Element, kind: str, where: str) -> str:
 def require_valid(root: Element, kind: str, where: str) -> str:
     """SSPError with the first thing that does not fit the schema; a line if there is no schema to check with, else none."""
     version = version_of(root, kind, where)
+    if version == DRAFT:
+        lines = [f"SSP {DRAFT} is a draft: terminals are read by it, all else by SSP 2.0"]
+        return "; ".join(lines + [more for more in [require_valid(without(root), kind, where)] if more])
     schema = _schema(version.partition(".")[0], kind)
     if schema is None:
         return f"not checked against the schemas of SSP {version}, which come with: pip install phfmu[ssp]"

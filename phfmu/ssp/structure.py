@@ -61,7 +61,9 @@ def entries(name: str, shape: tuple[int, ...]) -> list[str]:
 
 @dataclass(frozen=True)
 class Connection:
-    """Between connectors of elements, or (element "") of the system itself; `suppress`: no conversion of units."""
+    """Between connectors of elements, or (element "") of the system itself; `suppress`: no conversion of units;
+    `terminal`: of members of two terminals.
+    """
 
     start_element: str
     start_connector: str
@@ -69,6 +71,7 @@ class Connection:
     end_connector: str
     transformation: Linear = Linear()
     suppress: bool = False
+    terminal: bool = False
 
     @property
     def ends(self) -> tuple[tuple[str, str], tuple[str, str]]:

@@ -29,7 +29,8 @@ from phfmu.network.network import Network
 from phfmu.network.wires import Wire
 from phfmu.ssp.bonds import joins_plainly
 from phfmu.ssp.kept import CONNECTION, CONNECTOR, META, VERBATIM, Kept
-from phfmu.ssp.names import NAMESPACES, PORTS, ROOTS, STRUCTURE, tag
+from phfmu.ssp.names import DRAFT, NAMESPACES, PORTS, ROOTS, STRUCTURE, tag
+from phfmu.ssp.terminals import one_connection, write_connectors, write_terminals
 from phfmu.ssp.units import write_units
 
 
@@ -91,8 +92,8 @@ def write_package(path: Path, contents: Contents) -> list[str]:
         files[f"resources/{name}.fmu"] = unit.path.read_bytes()
         if unit.port_maps != unit.interface.ports:
             files[f"resources/{name}{ENDING}"] = sidecar_text(unit.port_maps).encode()
-        if values := _values(unit):
-            files[f"resources/{name}.ssv"] = parameter_set(values, unit, contents.version)
+        if values := values_before(unit):
+            files[f"resources/{name}.ssv"] = parameter_set(values, unit, min(contents.version, "2.0"))
     write(path, files)
     hidden = [f"signal {w}" for w in contents.network.wires if not _is_output(units, w)]
     hidden += [
@@ -118,7 +119,7 @@ def structure(contents: Contents) -> bytes:
     elements = etree.SubElement(system, tag("ssd", "Elements"))
     for name, unit in units.items():
         _component(elements, name, unit, contents)
-    links = [link for j in network.junctions for link in _links(network, j)]
+    links = [link for j in network.junctions for link in _connections(contents, j)]
     links += [w for w in network.wires if _is_output(units, w)]
     if links:
         listed = etree.SubElement(system, tag("ssd", "Connections"))
@@ -137,6 +138,8 @@ def structure(contents: Contents) -> bytes:
     listed = root.find(tag("ssd", "Units"))
     if more := kept.more_units(listed):
         (etree.SubElement(root, tag("ssd", "Units")) if listed is None else listed).extend(more)
+    if contents.version == DRAFT:
+        write_terminals(root, units)
     experiment = {"startTime": number(0.0), "stopTime": number(contents.stop)}
     etree.SubElement(root, tag("ssd", "DefaultExperiment"), experiment)
     kept.root.onto(root, META, "Annotations")
@@ -167,6 +170,16 @@ def _linear(wire: Wire) -> dict[str, str]:
     """Attributes of the transformation, those that are not usual."""
     told = {"factor": (wire.factor, 1.0), "offset": (wire.offset, 0.0)}
     return {name: number(value) for name, (value, usual) in told.items() if value != usual}
+
+
+def _connections(contents: Contents, junction: Junction) -> list[Wire]:
+    """The connections of a junction: of variables, or one of terminals where that says the same."""
+    network, links = contents.network, list(_links(contents.network, junction))
+    if contents.version == DRAFT and links:
+        one, other = (_map(network, e.member, e.port) for e in junction.ends)
+        if (whole := one_connection(links, (one, other))) is not None:
+            return [whole]
+    return links
 
 
 def _links(network: Network, junction: Junction) -> Iterator[Wire]:
@@ -219,7 +232,7 @@ def _component(parent: Element, name: str, unit: UnitFile, contents: Contents) -
     for v in _connected(unit):
         connector = etree.SubElement(listed, tag("ssd", "Connector"), name=v.name, kind=v.causality)
         part = kept.connector(name, v.name)
-        own = v.type if unit.interface.version != "2.0" and version == "2.0" else _TYPES.get(v.type, "Integer")
+        own = v.type if unit.interface.version != "2.0" and version != "1.0" else _TYPES.get(v.type, "Integer")
         if part.enumeration:
             etree.SubElement(connector, tag("ssc", "Enumeration"), name=part.enumeration)
             part.onto(connector, *CONNECTOR)
@@ -228,8 +241,11 @@ def _component(parent: Element, name: str, unit: UnitFile, contents: Contents) -
         if _told(unit, v) and own in ("Real", "Float64", "Float32"):
             type_.set("unit", v.unit)
         part.onto(connector, *CONNECTOR)
+    if version == DRAFT:
+        for own, connector in write_connectors(listed, unit):
+            kept.connector(name, own).onto(connector, *CONNECTOR)
     kept.component(name).onto(component, "ElementGeometry")
-    if _values(unit):
+    if values_before(unit):
         bindings = etree.SubElement(component, tag("ssd", "ParameterBindings"))
         etree.SubElement(bindings, tag("ssd", "ParameterBinding"), source=f"resources/{name}.ssv")
     kept.component(name).onto(component, META, "Annotations")
@@ -245,8 +261,8 @@ def _connected(unit: UnitFile) -> list[Scalar]:
     return [v for v in unit.interface.variables.values() if v.causality in _KINDS]
 
 
-def _values(unit: UnitFile) -> dict[str, float]:
-    """Parameters, and what else was set before the start."""
+def values_before(unit: UnitFile) -> dict[str, float]:
+    """Values of a unit before its start: parameters, and what else was set before the start."""
     variables = unit.interface.variables
     own = {n: v.start for n, v in variables.items() if v.causality == "parameter" and v.start is not None}
     return own | dict(unit.starts)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from phfmu.vet import calls, derivatives, determinism, energy, footprint, rollback, stepping, values
+from phfmu.vet import calls, derivatives, determinism, energy, footprint, references, rollback, stepping, values
 from phfmu.vet.description import description
 from phfmu.vet.finding import Claim
 from phfmu.words import meant
@@ -14,6 +14,7 @@ CLAIMS = (
     Claim("steps", "the steps of its experiment, with inputs at rest and moved", stepping.steps),
     Claim("start values", "variables that begin at a start value are read after initialisation", values.start_values),
     Claim("parameters kept", "each parameter is set before the start and read after two steps", values.parameters_kept),
+    references.CLAIM,
     Claim("state restored", "saved, gone astray, restored, and stepped again, twice", rollback.state_restored),
     Claim("state as bytes", "serialised, and stepped again in another instance and in a new process", rollback.state_as_bytes),
     Claim("two instances", "a run by itself, and beside another instance", determinism.two_instances),

@@ -17,13 +17,14 @@ class Declared:
     """`abilities`: attributes of CoSimulation.  `limits`: variable -> (min, max), None where there is none.
 
     `dependencies`: output -> variables at the same instant that it depends on; None where the description leaves that open.
-    `initial`: variable -> attribute `initial`.
+    `initial`: variable -> attribute `initial`.  `tolerance`: of its default experiment, None where it tells none.
     """
 
     abilities: Mapping[str, str]
     limits: Mapping[str, tuple[float | None, float | None]]
     dependencies: Mapping[str, frozenset[str] | None]
     initial: Mapping[str, str]
+    tolerance: float | None
 
     def able(self, *names: str) -> bool:
         """Whether one of these attributes is true; versions of the standard spell some of them differently."""
@@ -45,6 +46,7 @@ def declared(path: Path, version: str) -> Declared:
         names = {v.get("valueReference", ""): n for n, v in zip(keys, variables, strict=True)}
         numbers = dict(zip(keys, variables, strict=True))
         outputs, key = root.findall("ModelStructure/Output"), "valueReference"
+    experiment = root.find("DefaultExperiment")
     types = {t.get("name"): t for t in root.iterfind("TypeDefinitions/*")}
     return Declared(
         abilities=dict(told.attrib),
@@ -57,6 +59,7 @@ def declared(path: Path, version: str) -> Declared:
             if o.get(key) in names
         },
         initial={v.get("name", ""): v.get("initial", "") for v in variables},
+        tolerance=None if experiment is None else _number(experiment.get("tolerance")),
     )
 
 

@@ -7,14 +7,18 @@ import subprocess
 import sys
 import time
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from phfmu.audit.difference import first_differences
 from phfmu.audit.log.archive import read
+from phfmu.cli.checkpoints import Checkpoints
+from phfmu.runs import march
 from tests.cli.commands import Cli
-from tests.wide import longer
+from tests.wide import longer, wide
 
 #: equal steps; state events and damping; steps within a tolerance; the same with events; switches; interpreted in Python
 RUNS = {
@@ -26,6 +30,7 @@ RUNS = {
     "events within a tolerance": ("buffer", "--stop", "25", "--rtol", "1e-6"),
     "switches": ("buck", "--stop", "0.02"),
     "thinned": ("pendulum", "--stop", "1000", "--every", "7"),
+    "steps by energy, taken again": ("oscillator", "--coupling", "anderson", "--stop", "20", "--energy-rtol", "1e-5"),
     "members apart, hashes": ("oscillator", "--coupling", "newton", "--stop", "20", "--hash-states", "7"),
 }
 #: units of their own libraries;  in turn;  switches of members that land as one
@@ -83,6 +88,44 @@ def test_a_killed_run_goes_on_to_the_same_bits(name: str, tmp_path: Path) -> Non
     subprocess.run(command(was, run, table), check=True)
     assert killed(now, run, table, random.Random(name), 2) > 0
     require_equal(was, now, table)
+
+
+#: with state events, whose marks are in the picture; with the motion of a body; and steps of a block
+DRAWN = {
+    "picture": (("bouncing_ball", "--stop", "2", "--step", "0.001", "--plot"), "p.html", 50),
+    "motion": (("box_on_floor", "--stop", "0.3", "--step", "0.0001", "--view"), "v.html", 133),
+}
+
+
+@pytest.mark.parametrize("name", wide(DRAWN, "picture"))
+def test_a_run_that_goes_on_draws_the_whole_of_it(
+    name: str, cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Byte for byte the picture or the motion of a run that was never ended; a run that was has drawn nothing."""
+    (run, file, block), kept = DRAWN[name], Checkpoints.between_blocks
+    monkeypatch.setattr(march, "BLOCK", block)
+    files = {folder: tmp_path / folder / file for folder in ("was", "now")}
+    for path in files.values():
+        path.parent.mkdir()
+    assert cli("run", *run, str(files["was"]))[0] == 0
+    ends, blocks = [14, 4, 0], [0]
+
+    def ended(checkpoints: Checkpoints, now: Callable[[], dict[str, Any]]) -> None:
+        kept(checkpoints, now)
+        blocks[0] += 1
+        if blocks[0] == ends[0]:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(Checkpoints, "between_blocks", ended)
+    monkeypatch.chdir(files["now"].parent)
+    more = list[str]()
+    for _ in range(2):
+        assert cli("run", *run, str(files["now"]), "--checkpoint", "0", *more)[0] != 0
+        assert not files["now"].exists()
+        more, blocks[0] = ["--resume", f"{run[0]}.checkpoint"], 0
+        ends.pop(0)
+    assert cli("run", *run, str(files["now"]), *more)[0] == 0
+    assert files["now"].read_bytes() == files["was"].read_bytes()
 
 
 @pytest.mark.long
@@ -149,7 +192,7 @@ def test_what_has_no_checkpoints_is_refused_before_the_first_step(cli: Cli, tmp_
     unit = without_serialised_states(tmp_path / "pendulum_fmi3.fmu", tmp_path / "q.fmu")
     for more, words in (
         ((str(unit),), "pendulum cannot write its state to a file"),
-        (("pendulum", "--plot", str(tmp_path / "p.png")), "--plot is not kept"),
+        (("pendulum", "--accuracy"), "--accuracy is not kept"),
         (("pendulum", "--checkpoint", "-1"), "--checkpoint -1 s"),
     ):
         code, _, err = cli("run", "--checkpoint", "1", *more)

@@ -83,6 +83,7 @@ def require_equal(was: Result, now: Result) -> None:
     assert repr(now.ledger.summary()) == repr(was.ledger.summary())
     assert now.notes == was.notes
     assert (now.steps, now.iterations, now.worst) == (was.steps, was.iterations, was.worst)
+    assert (now.rejected, now.smallest, now.largest) == (was.rejected, was.smallest, was.largest)
 
 
 RUNS = {
@@ -93,6 +94,7 @@ RUNS = {
     "switches": "rectifier --coupling newton --order 4 --stop 0.02",
     "units, FMI 3.0": "oscillator --coupling newton --stop 0.5 --engine fmu --order 4",
     "one unit": "pendulum --stop 0.5 --engine fmu",
+    "size of steps by energy, taken again": "oscillator --coupling anderson --stop 0.3 --energy-rtol 1e-5",
 }
 MORE = {
     "events of time": "two_machine --coupling newton --order 4 --stop 0.11 --step 1e-3",
@@ -100,6 +102,8 @@ MORE = {
     "jacobi": "oscillator --coupling jacobi --stop 0.5 --step 1e-3",
     "order 6": "two_machine --coupling newton --order 6 --stop 0.02",
     "size of steps by energy": "oscillator --coupling jacobi --stop 0.2 --ecco 1e-3",
+    "size of steps by energy, in turn, units": "oscillator --coupling gauss-seidel --stop 0.05 --energy-rtol 1e-4 --engine fmu",
+    "size of steps by energy, events of time": "two_machine --coupling newton --stop 0.105 --step 1e-3 --energy-rtol 1e-3",
     "clutch": "clutch_engagement --coupling newton --order 4",
     "damping after events": "two_point_control --coupling newton --order 4 --stop 3 --restart 2",
     "damping after events of time": "two_machine --coupling newton --stop 0.11 --step 1e-3 --restart 3",

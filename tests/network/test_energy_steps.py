@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from phfmu.audit import read
 from phfmu.cli import main
+from phfmu.runs.adaptive import GROW
+from phfmu.words import counted
 from tests.fmu import foreign
 from tests.network.unit_members import pump_folder
 from tests.network.unit_members import table as rows_of
@@ -148,3 +152,20 @@ REFUSED = {
 def test_where_it_means_nothing_it_is_refused(words: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["run", *REFUSED[words]]) == 2
     assert words in capsys.readouterr().err
+
+
+def test_the_audit_tells_which_steps_were_taken_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Their sum is what the run counts; a step that was taken again is shorter than the trial that the steps before allow."""
+    own, audit = folder(tmp_path), tmp_path / "a.parquet"
+    options = ["--coupling", "anderson", "--energy-rtol", "1e-5", "--audit", str(audit)]
+    assert main(["run", str(own / "pair.py"), *options]) == 0
+    told = capsys.readouterr().out
+    rows = [r for r in read(audit).to_pylist() if r["row"] == "network"]
+    again = [r["rejected"] for r in rows]
+    assert sum(again) > 0 and f"rejected: {counted(sum(again), 'trial step')}" in told
+    # what a step hides is known from the second one on: the first has the step of the scene, the trial of the second too
+    assert again[0] == 0 and rows[0]["h"] == 0.01 and again[1] > 0 and rows[1]["h"] < 0.01
+    for before, row in pairwise(rows):
+        assert not row["rejected"] or row["h"] < GROW * before["h"]
+    assert main(["run", "oscillator", "--coupling", "newton", "--stop", "0.1", "--audit", str(audit), "--quiet"]) == 0
+    assert "rejected" not in read(audit).column_names

@@ -51,6 +51,7 @@ COLUMNS: dict[str, ColumnType] = {
     "cum_unexplained": ColumnType.F64,
     "iterations": ColumnType.I32,  # network: of Newton's method, of a coupling that of its interface
     "accepted_by": ColumnType.NAME,  # network: by which test the coupling took the step
+    "rejected": ColumnType.I32,  # network: longer trials of the step that were taken back (--energy-rtol)
     "energy_jump": ColumnType.F64,  # [J] event
     "lost": ColumnType.F64,  # [J] event: by a jump of the states at a guard
     "message": ColumnType.TEXT,
@@ -77,6 +78,7 @@ FIELDS: dict[RowKind, tuple[str, ...]] = {
     RowKind.NETWORK: (
         *("H", "dH", "dissipated", "numerical", "external", "junction_residual", "unexplained"),
         *("cum_dissipated", "cum_external", "cum_junction_residual", "cum_unexplained", "iterations", "accepted_by"),
+        "rejected",
     ),
     RowKind.TERM: ("component", "term", "dH", "dissipated"),
     RowKind.EVENT: ("kind", "component", "energy_jump", "lost", "message"),
@@ -160,6 +162,8 @@ def block_sections(block: BookedSteps, encode: Encode) -> list[Section]:
     sections.append(_repeat(block, RowKind.NETWORK, {}, network, encode))
     if s.iterations is not None:
         sections[-1].columns["iterations"] = s.iterations.astype(np.int32), None
+    if s.rejected is not None:
+        sections[-1].columns["rejected"] = s.rejected.astype(np.int32), None
     if s.accepted_by is not None:
         sections[-1].columns["accepted_by"] = encode("accepted_by", s.accepted_by.tolist()), None
     return sections

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from phfmu.declare.phdae import PHDAE
     from phfmu.fmu.export.schedule import UnitEvent
     from phfmu.network.scene import Event, Scene
+    from phfmu.references.experiment import Series
 
 
 def add_parser(verbs: Any) -> None:
@@ -48,6 +49,8 @@ def add_parser(verbs: Any) -> None:
                         help="vector ports as array variables in FMI 3.0 (in FMI 2.0 they are scalars)")  # fmt: skip
     parser.add_argument("--no-terminals", action="store_true",
                         help="leave terminalsAndIcons.xml out, which some importers of FMI 2.0 refuse")  # fmt: skip
+    parser.add_argument("--reference-experiment", action="store_true",
+                        help="a run with its results inside, by the draft FMI-LS-REF; `phfmu vet` tries it")  # fmt: skip
     parser.add_argument("--outward", action="append", default=[], metavar="PORT",
                         help="count the flow of this port (current, force) out of the unit; may be repeated")  # fmt: skip
     parser.add_argument("--platform", action="append", metavar="NAME", help="e.g. x86_64-linux; may be repeated")
@@ -64,7 +67,8 @@ def add_parser(verbs: Any) -> None:
     parser.add_argument("--sequence", metavar="A,B,..",
                         help=f"the order in which --coupling {GAUSS_SEIDEL.name} steps the members")  # fmt: skip
     parser.add_argument("--ssp", nargs="?", const=SSP_VERSIONS[0], choices=SSP_VERSIONS, metavar="VERSION",
-                        help="a package of SSP (1.0 or 2.0; default 1.0): members as units, parameters, connections")  # fmt: skip
+                        help="a package of SSP (default 1.0; 2.1, with terminals, is a draft): members as units, "
+                        "parameters, connections")  # fmt: skip
     options.add_grid(parser)
     options.add_lenient(parser)
     add_settings(parser)
@@ -84,6 +88,7 @@ def call(args: argparse.Namespace) -> int:
     from phfmu.fmu.export.schedule import fed_inside
     from phfmu.fmu.version import VERSIONS
     from phfmu.network.signal_ports import exchanging
+    from phfmu.references.writing import reference_results
 
     _require_coupling(args)
     s = scene_of(args)
@@ -116,12 +121,40 @@ def call(args: argparse.Namespace) -> int:
     if args.node_inputs and scheme.node_values and not declaration.state_events:
         declaration = exchanging(declaration, [e.name for e in inside])
     model = build_model(declaration, scheme)
+    series = reference_results(model, step, s.stop, inside) if args.reference_experiment else None
     paths = export(model, args.output, versions=versions, step=step, stop=s.stop, platforms=platforms,
                    node_inputs=args.node_inputs, ledger_outputs=args.outputs == "ledger",
                    terminals=not args.no_terminals, left_out=left_out, arrays=args.arrays, outward=args.outward,
                    impulses=args.impulses,
                    tunable=[*args.tunable, *_changed(events, declaration)], events=inside)  # fmt: skip
+    if series is not None:
+        notes = [*notes, *_add_reference(series, paths, step, s.stop)]
     return _said(notes, left_out, paths)
+
+
+def _add_reference(series: Series, paths: Sequence[Path], step: float, stop: float) -> list[str]:
+    """Put the results of the model into its units, which then have to give its results; lines of what was not tried.
+
+    FMUError for a unit that does not: it is left without.
+    """
+    from phfmu.fmu.export.variables import FMUError
+    from phfmu.references.writing import add_experiment
+    from phfmu.vet.finding import FALSE, HOLDS
+    from phfmu.vet.process import judged
+    from phfmu.vet.references import CLAIM
+    from phfmu.vet.subject import Subject
+
+    notes = list[str]()
+    for path in paths:
+        bare = path.read_bytes()
+        add_experiment(path, series, step, stop)
+        found = judged(CLAIM, Subject(path))
+        if found.verdict == FALSE:
+            path.write_bytes(bare)
+            raise FMUError(f"{path}: written without its experiment, whose results it does not give: {found.seen}")
+        if found.verdict != HOLDS:
+            notes.append(f"{path}: its experiment was not tried: {found.seen}")
+    return notes
 
 
 def export_apart(args: argparse.Namespace, s: Scene) -> int:
@@ -142,6 +175,8 @@ def export_apart(args: argparse.Namespace, s: Scene) -> int:
 
     if odd := [n for n, on in {"--node-inputs": args.node_inputs, "--impulses": args.impulses}.items() if on]:
         raise ValueError(f"--as-unit and {odd[0]} do not go together: inputs of the whole are held over a step")
+    if args.reference_experiment:
+        raise ValueError("--reference-experiment takes the run of one model; leave out --as-unit")
     if not isinstance(s.system, Network):
         raise ValueError(f"{args.target} has no members to keep apart; leave out --as-unit")
     given = settings(args.set)
@@ -269,7 +304,8 @@ def _refuse_others(args: argparse.Namespace) -> None:
     """ValueError for options that are about a single unit."""
     chosen = {"--node-inputs": args.node_inputs, "--impulses": args.impulses, "--arrays": args.arrays,
               "--no-terminals": args.no_terminals, "--outputs local": args.outputs != "ledger",
-              "--tunable": args.tunable, "--events inside": args.events != "outside"}  # fmt: skip
+              "--tunable": args.tunable, "--events inside": args.events != "outside",
+              "--reference-experiment": args.reference_experiment}  # fmt: skip
     if odd := [name for name, value in chosen.items() if value]:
         raise ValueError(f"--ssp and {odd[0]} do not go together; export the units by themselves for that")
     if args.fmi and len(args.fmi) > 1:

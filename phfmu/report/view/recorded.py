@@ -76,10 +76,12 @@ def of_table(path: str | os.PathLike[str], shapes: Sequence[Shape] = ()) -> Moti
 
 
 class LiveMotion:
-    """Keeps of the rows of a run to `stop` what pictures need, and no more.
+    """Keeps of the rows of a run to `stop` what pictures need, and no more: which ones does not depend on how they come.
 
     Errors: ValueError for no shapes, and names that lack what these move with.
     """
+
+    CARRIED = ("_next", "_time", "_values", "_last")
 
     def __init__(self, title: str, shapes: Sequence[Shape], names: Sequence[str], start: float, stop: float):
         require_shapes(shapes, title)
@@ -90,24 +92,28 @@ class LiveMotion:
         self._next = start
         self._time: list[Floats] = []
         self._values: list[Floats] = []
+        #: the last row, which is shown in any case: time (1) and values (1, columns); empty where it is among the others
+        self._last: tuple[Floats, Floats] = np.zeros(0), np.zeros((0, len(self._columns)))
 
     @property
     def rows(self) -> int:
-        return sum(map(len, self._time))
+        return sum(map(len, self._time)) + len(self._last[0])
 
     def add(self, time: Floats, values: Floats) -> None:
-        """Take n rows: time [n], values [n, names]; the last one of each block stays, so that the end is there."""
+        """Take n rows: time [n], values [n, names]."""
         keep = np.zeros(len(time), bool)
         for i, t in enumerate(time):
             if t >= self._next:
                 keep[i], self._next = True, t + self._apart
-        keep[-1] = True
         self._time.append(np.array(time)[keep])
         self._values.append(values[keep][:, self._columns])
+        end = slice(len(time), None) if keep[-1] else slice(-1, None)
+        self._last = np.array(time)[end], values[end][:, self._columns]
 
     def motion(self) -> Motion:
         """The motion of the rows so far."""
-        time, values = np.concatenate(self._time), np.concatenate(self._values)
+        time = np.concatenate([*self._time, self._last[0]])
+        values = np.concatenate([*self._values, self._last[1]])
         rows = chosen_rows(time, frames(self._shapes))
         columns = dict(zip(self._names, values[rows].T, strict=True))
         return motion(self._title, self._shapes, time[rows], columns)
