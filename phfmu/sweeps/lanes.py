@@ -12,12 +12,16 @@ from pathlib import Path
 
 import numpy as np
 
+from phfmu.engine.build.codegen import solver_text
+from phfmu.engine.build.compile import compile, host_flags
 from phfmu.engine.native.code import Interpreted
 from phfmu.engine.native.compiled import made_of
+from phfmu.engine.native.library import headers
 from phfmu.engine.native.native import NativeInstance
+from phfmu.schur.stepper import SchurStepper
 
 #: runs side by side
-LANES = int(re.findall(r"#define PH_LANE_WIDTH (\d+)", (Path(__file__).parent / "runtime" / "wide.h").read_text())[0])
+LANES = int(re.findall(r"#define PH_LANE_WIDTH (\d+)", (Path(__file__).parent / "runtime" / "lane_width.h").read_text())[0])
 
 
 class Lanes:
@@ -40,12 +44,24 @@ class Lanes:
 
 
 def lanes_of(instance: NativeInstance, lib: ctypes.CDLL, books: int) -> Lanes | None:
-    """Lanes for runs of the model of an instance, with the address of their books.
+    """Lanes for runs of the model of an instance, with the address of their books; CompileError.
 
-    None if it has a Schur stepper, constraints that may rest, or operations that are not interpreted.
+    None if it has constraints that may rest and no Schur stepper, or operations that are not interpreted.
     """
-    made = made_of(instance.model, instance.kind)
+    made, schur = made_of(instance.model, instance.kind), instance.model.step.schur
     if made.kernels.unknown:
         return None
-    lanes = Lanes(Interpreted(made.kernels, lib=lib, prefix="ph_wide_interpret"), lib, made.tables.pointer, books)
+    solver = Solver(schur) if schur is not None and made.code.compiled else None
+    at = None if solver is None else solver.address
+    code = Interpreted(made.kernels, lib=lib, prefix="ph_wide_interpret", solver=at)
+    lanes = Lanes(code, lib, made.tables.pointer, books)
     return lanes if lanes.fits else None
+
+
+class Solver:
+    """A Schur stepper compiled for runs side by side; `address`: of its ph_schur_code."""
+
+    def __init__(self, schur: SchurStepper):
+        self.build = compile(headers() | {"lanes.c": solver_text(schur, LANES)}, flags=host_flags())
+        self._lib = ctypes.CDLL(str(self.build.path))
+        self.address = ctypes.c_void_p.in_dll(self._lib, "ph_wide_solver").value
