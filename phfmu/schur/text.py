@@ -32,11 +32,15 @@ FUNCTIONS = {
 #: expression of an operation of numbers by its name
 EXPRESSIONS = dict(LOGIC.values()) | {f: f"{f}(x)" for f in FUNCTIONS.values()} | {"pow": "pow(x, y)"}
 
-#: operands: the same for all runs, a number of each run, a lane of each run (lanes.h)
-CONSTANT, NUMBER, LANE = range(3)
-TYPES = ("double", "ph_real", "ph_lane")
+#: operands: the same for all runs, a number of each run, a lane of each run, one that is not read at the end (lanes.h)
+CONSTANT, NUMBER, LANE, INNER = range(4)
+TYPES = ("double", "ph_real", "ph_lane", "ph_inner")
+PREFIXES = ("", "number", "lane", "inner")
 #: how one becomes another
-RAISED = {(CONSTANT, NUMBER): "PH_REAL_SPREAD", (CONSTANT, LANE): "PH_CONSTANT", (NUMBER, LANE): "PH_SPREAD"}
+RAISED = {
+    (CONSTANT, NUMBER): "PH_REAL_SPREAD", (CONSTANT, LANE): "PH_CONSTANT", (NUMBER, LANE): "PH_SPREAD",
+    (CONSTANT, INNER): "PH_INNER_CONSTANT", (NUMBER, INNER): "PH_INNER_SPREAD", (LANE, INNER): "PH_INNER",
+}  # fmt: skip
 
 #: the loops of a model with more degrees of freedom, or instances, are not written out
 MOST = 40
@@ -47,16 +51,16 @@ SWEPT = ("constraint", "strain", "force")
 #: models without a Schur stepper, and compilers without vectors
 NO_STEPPER = "static const ph_schur_code ph_schur_solver = {0};\n"
 
-#: per kind: macro of lane.inc, arguments that are lanes, results that are lanes
+#: per kind: macro of lane.inc, what its arguments and results are
 KINDS = {
-    "constraint": ("CONSTRAINT", (True, True, False), (True, True)),
-    "strain": ("STRAIN", (True, False), (True,)),
-    "force": ("FORCE", (True, True, True, False), (True,)),
-    "pointwise": ("POINTWISE", (True, False), (True, True)),
-    "stress": ("STRESS", (False, False, False), (False, False)),
-    "start": ("START", (False, False), (False,)),
-    "mass": ("MASS", (False,), (False,)),
-    "load": ("LOAD", (False,), (False,)),
+    "constraint": ("CONSTRAINT", (LANE, INNER, NUMBER), (LANE, INNER)),
+    "strain": ("STRAIN", (INNER, NUMBER), (INNER,)),
+    "force": ("FORCE", (INNER, INNER, INNER, NUMBER), (INNER,)),
+    "pointwise": ("POINTWISE", (INNER, NUMBER), (INNER, INNER)),
+    "stress": ("STRESS", (NUMBER, NUMBER, NUMBER), (NUMBER, NUMBER)),
+    "start": ("START", (NUMBER, NUMBER), (NUMBER,)),
+    "mass": ("MASS", (NUMBER,), (NUMBER,)),
+    "load": ("LOAD", (NUMBER,), (NUMBER,)),
 }
 
 
@@ -65,11 +69,10 @@ def kernel_text(kernel: LaneKernel) -> str:
     return function_text(kernel.name, kernel.function, *KINDS[kernel.kind][1:])
 
 
-def function_text(name: str, f: ca.Function, lane_in: Sequence[bool], lane_out: Sequence[bool]) -> str:
-    """C definition of one function: pointers to its arguments, then to its results; which of them are lanes."""
-    kinds = [LANE if lane else NUMBER for lane in lane_in]
+def function_text(name: str, f: ca.Function, kinds: Sequence[int], results: Sequence[int]) -> str:
+    """C definition of one function: pointers to its arguments, then to its results, of these kinds of operands."""
     arguments = [f"const {TYPES[kind]} *a{i}" for i, kind in enumerate(kinds)]
-    arguments += [f"{TYPES[LANE if lane else NUMBER]} *r{i}" for i, lane in enumerate(lane_out)]
+    arguments += [f"{TYPES[kind]} *r{i}" for i, kind in enumerate(results)]
     lines = []
     held: dict[int, tuple[str, int]] = {}  # work place -> (C name or number, what it is)
     for i in range(f.n_instructions()):
@@ -79,7 +82,7 @@ def function_text(name: str, f: ca.Function, lane_in: Sequence[bool], lane_out: 
         elif op == ca.OP_CONST:
             held[outputs[0]] = (_number(f.instruction_constant(i)), CONSTANT)
         elif op == ca.OP_OUTPUT:
-            value = _raised(held[inputs[0]], LANE if lane_out[outputs[0]] else NUMBER)
+            value = _raised(held[inputs[0]], results[outputs[0]])
             lines.append(f"    r{outputs[0]}[{outputs[1]}] = {value};")
         else:
             text, kind = _operation(op, [held[j] for j in inputs])
@@ -101,7 +104,7 @@ def _operation(op: int, operands: Sequence[tuple[str, int]]) -> tuple[str, int]:
     name = "pow" if op in POWER else LOGIC[op][0] if op in LOGIC else FUNCTIONS[op]
     kind = max(kind, NUMBER)
     arguments = ", ".join(_raised(operand, kind) for operand in operands)
-    return f"{'lane' if kind == LANE else 'number'}_{name}({arguments})", kind
+    return f"{PREFIXES[kind]}_{name}({arguments})", kind
 
 
 def _raised(operand: tuple[str, int], kind: int) -> str:
@@ -130,9 +133,11 @@ def stepper_text(schur: SchurStepper, tables: str) -> str:
 
 def operations_text(bodies: str) -> str:
     """C definitions of the functions of lanes and of numbers that bodies call."""
-    lanes, numbers = (sorted(set(re.findall(rf"\b{kind}_(\w+)\(", bodies))) for kind in ("lane", "number"))
-    text = "".join("PH_LANE_POWER\n" if f == "pow" else f"PH_LANE_FUNCTION({f})\n" for f in lanes)
-    for f in numbers:
+    text, found = "", sorted(set(re.findall(r"\b(number|lane|inner)_(\w+)\(", bodies)))
+    for kind, f in found:
+        if kind != "number":
+            text += f"PH_LANE_POWER({kind})\n" if f == "pow" else f"PH_LANE_FUNCTION({kind}, {f})\n"
+            continue
         count = "TWO" if "y" in re.findall(r"\b[xy]\b", EXPRESSIONS[f]) else "ONE"
         text += f"PH_NUMBER_OF_{count}({f}, {EXPRESSIONS[f]})\n"
     return text

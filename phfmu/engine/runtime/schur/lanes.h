@@ -19,13 +19,24 @@
 #endif
 typedef double ph_lane __attribute__((vector_size(8 * PH_LANES * PH_RUNS), aligned(8)));
 
-/* PH_NODE: the value at node j of a lane that has a place; PH_SPREAD: the same number of a run at all of
- * them; PH_CONSTANT: of all runs; PH_NODES: 1 at the nodes and 0 at the end. */
+/* ph_inner: a lane whose value at the end nobody reads. That of one run has it, as a vector of so many
+ * numbers is no faster with one less; those of several runs do without.
+ *
+ * PH_NODE: the value at node j of a lane that has a place; PH_SPREAD: the same number of a run at all of
+ * them; PH_CONSTANT: of all runs; PH_NODES: 1 at the nodes and 0 at the end. PH_INNER: the nodes of a lane
+ * that has a place; PH_OUTER: those with nothing at the end. */
 #ifdef PH_WIDTH
+typedef double ph_inner __attribute__((vector_size(8 * PH_K * PH_RUNS), aligned(8)));
+
 #define PH_NODE(a, j) (((ph_real *)&(a))[j])
 #define PH_SPREAD(a) lane_spread(a, PH_LANES)
 #define PH_CONSTANT(a) ((a) - (ph_lane){0.0})
 #define PH_NODES lane_spread(PH_REAL_SPREAD(1.0), PH_K)
+#define PH_INNER(a) (*(const ph_inner *)&(a))
+#define PH_INNER_SPREAD(a) inner_spread(a)
+#define PH_INNER_CONSTANT(a) ((a) - (ph_inner){0.0})
+#define PH_OUTER(a) inner_outer(a)
+#define PH_AT_NODES(a) inner_spread(a)
 
 /* The first n of its values. */
 static inline __attribute__((always_inline)) ph_lane lane_spread(ph_real a, int n) {
@@ -34,9 +45,30 @@ static inline __attribute__((always_inline)) ph_lane lane_spread(ph_real a, int 
         PH_NODE(lane, j) = a;
     return lane;
 }
+
+static inline __attribute__((always_inline)) ph_inner inner_spread(ph_real a) {
+    ph_inner inner;
+    for (int j = 0; j < PH_K; j++)
+        PH_NODE(inner, j) = a;
+    return inner;
+}
+
+static inline __attribute__((always_inline)) ph_lane inner_outer(ph_inner a) {
+    ph_lane lane = PH_CONSTANT(-0.0);
+    for (int j = 0; j < PH_K; j++)
+        PH_NODE(lane, j) = PH_NODE(a, j);
+    return lane;
+}
 #else
+typedef ph_lane ph_inner;
+
 #define PH_NODE(a, j) ((a)[j])
 #define PH_CONSTANT(a) PH_SPREAD(a)
+#define PH_INNER(a) (a)
+#define PH_INNER_SPREAD(a) PH_SPREAD(a)
+#define PH_INNER_CONSTANT(a) PH_SPREAD(a)
+#define PH_OUTER(a) (a)
+#define PH_AT_NODES(a) ((a) * PH_NODES)
 #if PH_K == 3
 #define PH_SPREAD(a) ((ph_lane){(a), (a), (a), (a)})
 #define PH_NODES ((ph_lane){1.0, 1.0, 1.0, 0.0})
@@ -46,15 +78,16 @@ static inline __attribute__((always_inline)) ph_lane lane_spread(ph_real a, int 
 #endif
 #endif
 
-#define PH_LANE_FUNCTION(f)                                                                                  \
-    static inline ph_lane lane_##f(ph_lane a) {                                                              \
-        for (int i = 0; i < PH_LANES * PH_RUNS; i++)                                                         \
+/* Functions of lanes, value by value; kind: lane or inner. */
+#define PH_LANE_FUNCTION(kind, f)                                                                            \
+    static inline ph_##kind kind##_##f(ph_##kind a) {                                                        \
+        for (size_t i = 0; i < sizeof(a) / sizeof(double); i++)                                              \
             a[i] = f(a[i]);                                                                                  \
         return a;                                                                                            \
     }
-#define PH_LANE_POWER                                                                                        \
-    static inline ph_lane lane_pow(ph_lane a, ph_lane b) {                                                   \
-        for (int i = 0; i < PH_LANES * PH_RUNS; i++)                                                         \
+#define PH_LANE_POWER(kind)                                                                                  \
+    static inline ph_##kind kind##_pow(ph_##kind a, ph_##kind b) {                                           \
+        for (size_t i = 0; i < sizeof(a) / sizeof(double); i++)                                              \
             a[i] = pow(a[i], b[i]);                                                                          \
         return a;                                                                                            \
     }
@@ -132,13 +165,13 @@ typedef struct ph_work {
     ph_real *light_mass;   /* nlight: their true masses, zero or far smaller than all others */
     ph_real inverse_light; /* 1/m that their rows are eliminated with */
     ph_lane *missing;     /* nlight: what their momentum misses */
-    ph_lane *u;           /* nu */
-    ph_lane *base;        /* ndof: forces that stay during a step */
+    ph_inner *u;          /* nu */
+    ph_inner *base;       /* ndof: forces that stay during a step */
     ph_lane *x, *f;       /* ndof+1: displacements; q' at the nodes and v at the end */
-    ph_lane *v, *n;       /* ndof+1: velocities v = q' - n; shifts n = M^-1 Dg^T mu */
-    ph_lane *force;       /* ndof+1: forces, then accelerations */
+    ph_inner *v, *n;      /* ndof+1: velocities v = q' - n; shifts n = M^-1 Dg^T mu */
+    ph_inner *force;      /* ndof+1: forces, then accelerations */
     ph_lane *next;        /* ndof+1: the next f */
-    ph_lane *correction;  /* ndof+1: work */
+    ph_inner *correction; /* ndof+1: work */
     ph_lane *slot;        /* gradients of the rows */
     ph_lane *multiplier;  /* nconstraint: lambda at the nodes, then mu */
     ph_lane *row;         /* a row each: right-hand sides, then what was added to multipliers and stresses */
@@ -147,8 +180,8 @@ typedef struct ph_work {
     ph_real *start;        /* nstrain: C at the start of the step */
     ph_real *slope;        /* nstrain: phi'' */
     ph_real *compliance;   /* nstrain: 1 / (h^2 phi'') */
-    ph_lane *stress;      /* nstrain: S */
-    ph_lane *defect;      /* nstrain: phi' - S */
+    ph_inner *stress;     /* nstrain: S */
+    ph_inner *defect;     /* nstrain: phi' - S */
     ph_mode *soft;        /* nentry: factor of all rows */
     ph_mode *mode;        /* a row each */
     ph_mode *whole;       /* a row each: work of the factor */
@@ -169,10 +202,11 @@ typedef struct ph_sweep {
     double h;
     const ph_real *parameters;
     ph_real *point, *velocity, *inverse_mass, *constant, *start, *slope;
-    const ph_lane *input, *base;
+    const ph_inner *input, *base;
     const ph_real *light_mass;
     ph_real inverse_light;
-    ph_lane *missing, *multiplier, *f, *x, *v, *n, *force, *next, *slot, *row, *stress, *defect;
+    ph_lane *missing, *multiplier, *f, *x, *next, *slot, *row;
+    ph_inner *v, *n, *force, *stress, *defect;
     ph_lane column[PH_K];
 } ph_sweep;
 
@@ -182,11 +216,19 @@ typedef struct ph_sweep {
  * freedom are taken from the work space by PH_LOCAL and go back by PH_KEEP; in between they are registers.
  * For other models all of this is nothing, and the same loops run over the tables of the plan. */
 #ifdef PH_SMALL
+#define PH_SUMS 4
+#else
+#define PH_SUMS 1
+#endif
+#if defined(PH_SMALL) && defined(PH_WIDTH)
+#undef PH_SMALL
+#endif
+#ifdef PH_SMALL
 #define PH_TABLES(w) (&small_tables)
 #define PH_WRITTEN inline __attribute__((always_inline))
 #ifdef __clang__
 #define PH_UNROLL _Pragma("clang loop unroll(full)")
-#define PH_COPY(to, from) memcpy(to, from, sizeof(ph_lane) * PH_SMALL);
+#define PH_COPY(to, from) memcpy(to, from, sizeof(*(to)) * PH_SMALL);
 #else /* gcc keeps in memory what memcpy touches */
 #define PH_UNROLL _Pragma("GCC unroll 65534")
 #define PH_COPY(to, from)                                                                                    \
@@ -194,8 +236,8 @@ typedef struct ph_sweep {
     for (int i = 0; i < PH_SMALL; i++)                                                                       \
         (to)[i] = (from)[i];
 #endif
-#define PH_LOCAL(name)                                                                                       \
-    ph_lane name[PH_SMALL + 1];                                                                              \
+#define PH_LOCAL(type, name)                                                                                 \
+    type name[PH_SMALL + 1];                                                                                 \
     PH_COPY(name, s.name)                                                                                    \
     s.name = name;
 #define PH_KEEP(name) PH_COPY(w->name, name)
@@ -204,7 +246,7 @@ typedef struct ph_sweep {
 #define PH_TABLES(w) ((w)->c)
 #define PH_WRITTEN inline
 #define PH_UNROLL
-#define PH_LOCAL(name)
+#define PH_LOCAL(type, name)
 #define PH_KEEP(name)
 #endif
 
@@ -260,10 +302,23 @@ static PH_WRITTEN ph_lane difference(const ph_lane *a, int plus, int minus) {
     PH_UNROLL                                                                                                \
     for (int j = 0; j < size; j++)                                                                           \
         name[j] = difference(from, (plus)[i * size + j], (minus)[i * size + j]);
+#define PH_INNER_DIFFERENCES(name, size, from, plus, minus)                                                  \
+    ph_inner name[PH_ROOM(size)];                                                                            \
+    PH_UNROLL                                                                                                \
+    for (int j = 0; j < size; j++) {                                                                         \
+        const int above = (plus)[i * size + j], below = (minus)[i * size + j];                               \
+        name[j] = PH_SMALL && below == PH_SMALL ? PH_INNER((from)[above])                                    \
+                                                : PH_INNER((from)[above]) - PH_INNER((from)[below]);         \
+    }
 #define PH_POINTS                                                                                            \
     PH_DIFFERENCES(d, PH_NX, x, plus, minus)                                                                 \
     PH_UNROLL                                                                                                \
     for (int j = 0; j < PH_NX; j++)                                                                          \
         d[j] += PH_SPREAD(point[i * PH_NX + j]);
+#define PH_INNER_POINTS                                                                                      \
+    PH_INNER_DIFFERENCES(d, PH_NX, x, plus, minus)                                                           \
+    PH_UNROLL                                                                                                \
+    for (int j = 0; j < PH_NX; j++)                                                                          \
+        d[j] += PH_INNER_SPREAD(point[i * PH_NX + j]);
 
 #endif
