@@ -4,6 +4,9 @@
 #include <string.h>
 
 enum { TABLE = 0, ROWS = 3 }; /* places in ph_state_arrays */
+/* Longest absence of a run; steps after which it is halved; runs from which on the Schur stepper pays: it is
+ * fast for one. */
+enum { LONGEST = 64, RETURNS = 16, FEWEST = PH_LANE_WIDTH / 2 + 1 };
 
 /* What follows is aligned as the whole is, for vectors. */
 static size_t head(void) {
@@ -26,6 +29,7 @@ int ph_lanes_init(void *memory, const ph_model *model, const ph_code *code, cons
     lanes->wide = ph_wide_init((char *)memory + head(), model, code);
     lanes->books = books;
     lanes->sweeps = sweeps;
+    ph_lanes_leave(lanes);
     for (int i = 0; i < PH_NROW; i++)
         lanes->row[i] = ph_wide_arrays(lanes->wide)[ROWS + i].data;
     return PH_OK;
@@ -65,6 +69,9 @@ void ph_lanes_leave(ph_lanes *lanes) {
     for (int l = 0; l < PH_LANE_WIDTH; l++)
         if (lanes->inside >> l & 1)
             leave(lanes, l);
+    lanes->clock = 0;
+    for (int l = 0; l < PH_LANE_WIDTH; l++)
+        lanes->period[l] = 1;
 }
 
 /* Whether the next step of an instance is one that lanes take. The Schur stepper leaves factors of Newton's
@@ -96,6 +103,8 @@ void ph_lanes_enter(ph_lanes *lanes, int l, ph_instance *in) {
         place(&rows[i], l, own[i].data);
     if (!usual(lanes, in))
         return;
+    if (lanes->clock % lanes->period[l])
+        return;
     if (!lanes->inside) {
         if (ph_wide_prepare(lanes->wide, in->step.pivot, *in->step.last_h, in->head->held))
             return;
@@ -126,9 +135,29 @@ static void follow(ph_instance *in, double h, int factors, int iterations, int f
     in->count[PH_STEPS]++;
 }
 
+/* A step that lanes do not solve is lost time: a run with many of them enters less and less often. */
+static void stay_away(ph_lanes *lanes, unsigned runs) {
+    for (int l = 0; l < PH_LANE_WIDTH; l++)
+        if (runs >> l & 1) {
+            leave(lanes, l);
+            if (lanes->period[l] < LONGEST)
+                lanes->period[l] *= 2;
+        }
+}
+
+static int count(unsigned runs) {
+    int n = 0;
+    for (; runs; runs &= runs - 1)
+        n++;
+    return n;
+}
+
 unsigned ph_lanes_step(ph_lanes *lanes, double t, double h) {
     ph_wide_cost cost;
     unsigned solved = 0, trusting = 0;
+    lanes->clock++;
+    if (lanes->sweeps && count(lanes->inside) < FEWEST)
+        stay_away(lanes, lanes->inside);
     for (int l = 0; l < PH_LANE_WIDTH; l++)
         if (lanes->inside >> l & 1 && ph_is_sliver(lanes->in[l], t, h))
             leave(lanes, l);
@@ -137,14 +166,14 @@ unsigned ph_lanes_step(ph_lanes *lanes, double t, double h) {
             trusting |= 1U << l;
     if (lanes->inside && isfinite(t + h) && h != 0.0)
         solved = ph_wide_solve(lanes->wide, t, h, lanes->inside, trusting, &cost);
-    for (int l = 0; l < PH_LANE_WIDTH; l++)
-        if ((lanes->inside & ~solved) >> l & 1)
-            leave(lanes, l);
+    stay_away(lanes, lanes->inside & ~solved);
     if (solved)
         ph_wide_accept(lanes->wide, t, h);
     for (int l = 0; l < PH_LANE_WIDTH; l++)
         if (solved >> l & 1) {
             follow(lanes->in[l], h, !lanes->sweeps, cost.iterations[l], cost.factored >> l & 1);
+            if (lanes->clock % RETURNS == 0 && lanes->period[l] > 1)
+                lanes->period[l] /= 2;
             lanes->taken++;
         }
     return solved;

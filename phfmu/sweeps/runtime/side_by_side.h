@@ -11,6 +11,8 @@ typedef struct ph_lanes {
     ph_instance *in[PH_LANE_WIDTH]; /* where the numbers of a run are while it is not inside */
     unsigned inside;                /* bit l: run l is stepped with the others */
     int sweeps;                     /* 1: steps are those of a Schur stepper */
+    unsigned clock;                 /* steps of the stretch */
+    unsigned period[PH_LANE_WIDTH]; /* a run that has left enters at multiples of so many steps */
     long long taken;                /* steps of runs inside since the start */
     const ph_books *books;          /* of all runs, compiled for these */
     double *row[PH_NROW];           /* ledger of the last step of each */
