@@ -164,7 +164,9 @@ def kernel_table(
 
 def solver_text(schur: SchurStepper, runs: int, symbol: str = "ph_wide_solver") -> str:
     """C text of `const ph_schur_code *const <symbol>`, the Schur stepper for steps of so many runs side by side."""
-    head = HEAD.replace("Kernels of a discretised model: values with Jacobians, and ledgers", "The Schur stepper of several runs")
+    head = HEAD.replace(
+        "Kernels of a discretised model: values with Jacobians, and ledgers", "The Schur stepper of several runs"
+    )
     text = head.replace('#include "plan.h"', f'#define PH_WIDTH {runs}\n#include "plan.h"')
     text += stepper_text(schur, schur_text(schur, "small_tables"))
     pointer = f"const ph_schur_code *const {symbol}"

@@ -90,8 +90,7 @@ static int usual(const ph_lanes *lanes, const ph_instance *in) {
 static int alike(const ph_lanes *lanes, const ph_instance *a, const ph_instance *b) {
     if (*a->step.last_h != *b->step.last_h || a->head->held != b->head->held)
         return 0;
-    return lanes->sweeps ||
-           memcmp(a->step.pivot, b->step.pivot, sizeof(int) * (size_t)a->step.plan->nw) == 0;
+    return lanes->sweeps || memcmp(a->step.pivot, b->step.pivot, sizeof(int) * (size_t)a->step.plan->nw) == 0;
 }
 
 void ph_lanes_enter(ph_lanes *lanes, int l, ph_instance *in) {

@@ -150,41 +150,41 @@ typedef struct ph_mode {
  * is read: coordinates that are no differences subtract it. */
 typedef struct ph_work {
     const ph_schur *c;
-    int ready;            /* masses and loads belong to parameters */
-    ph_truth uneven;      /* masses are too far apart for the Schur stepper */
-    int carry;            /* stresses are unknowns of their own: some spring is stiff at this step size */
-    double h;             /* of this step */
-    double ratio;         /* of h to the last h, for the predictor */
-    const ph_real *p;     /* parameters */
+    int ready;             /* masses and loads belong to parameters */
+    ph_truth uneven;       /* masses are too far apart for the Schur stepper */
+    int carry;             /* stresses are unknowns of their own: some spring is stiff at this step size */
+    double h;              /* of this step */
+    double ratio;          /* of h to the last h, for the predictor */
+    const ph_real *p;      /* parameters */
     ph_real *inverse_mass; /* ndof+1 */
     ph_real *constant;     /* ndof+1: forces that depend on parameters only */
-    double *weight;       /* ndof: 1 / nominal velocity^2 */
+    double *weight;        /* ndof: 1 / nominal velocity^2 */
     ph_real *velocity;     /* ndof: v at the start of the step */
     ph_real *parameters;   /* np: those the two were computed for */
     ph_real *point;        /* npoint: coordinates at the start of the step */
     ph_real *light_mass;   /* nlight: their true masses, zero or far smaller than all others */
     ph_real inverse_light; /* 1/m that their rows are eliminated with */
-    ph_lane *missing;     /* nlight: what their momentum misses */
-    ph_inner *u;          /* nu */
-    ph_inner *base;       /* ndof: forces that stay during a step */
-    ph_lane *x, *f;       /* ndof+1: displacements; q' at the nodes and v at the end */
-    ph_inner *v, *n;      /* ndof+1: velocities v = q' - n; shifts n = M^-1 Dg^T mu */
-    ph_inner *force;      /* ndof+1: forces, then accelerations */
-    ph_lane *next;        /* ndof+1: the next f */
-    ph_inner *correction; /* ndof+1: work */
-    ph_lane *slot;        /* gradients of the rows */
-    ph_lane *multiplier;  /* nconstraint: lambda at the nodes, then mu */
-    ph_lane *row;         /* a row each: right-hand sides, then what was added to multipliers and stresses */
-    ph_lane *hard;        /* nentry: factor of the constraints */
-    ph_lane *initial;     /* nconstraint: work of the factor */
+    ph_lane *missing;      /* nlight: what their momentum misses */
+    ph_inner *u;           /* nu */
+    ph_inner *base;        /* ndof: forces that stay during a step */
+    ph_lane *x, *f;        /* ndof+1: displacements; q' at the nodes and v at the end */
+    ph_inner *v, *n;       /* ndof+1: velocities v = q' - n; shifts n = M^-1 Dg^T mu */
+    ph_inner *force;       /* ndof+1: forces, then accelerations */
+    ph_lane *next;         /* ndof+1: the next f */
+    ph_inner *correction;  /* ndof+1: work */
+    ph_lane *slot;         /* gradients of the rows */
+    ph_lane *multiplier;   /* nconstraint: lambda at the nodes, then mu */
+    ph_lane *row;          /* a row each: right-hand sides, then what was added to multipliers and stresses */
+    ph_lane *hard;         /* nentry: factor of the constraints */
+    ph_lane *initial;      /* nconstraint: work of the factor */
     ph_real *start;        /* nstrain: C at the start of the step */
     ph_real *slope;        /* nstrain: phi'' */
     ph_real *compliance;   /* nstrain: 1 / (h^2 phi'') */
-    ph_inner *stress;     /* nstrain: S */
-    ph_inner *defect;     /* nstrain: phi' - S */
-    ph_mode *soft;        /* nentry: factor of all rows */
-    ph_mode *mode;        /* a row each */
-    ph_mode *whole;       /* a row each: work of the factor */
+    ph_inner *stress;      /* nstrain: S */
+    ph_inner *defect;      /* nstrain: phi' - S */
+    ph_mode *soft;         /* nentry: factor of all rows */
+    ph_mode *mode;         /* a row each */
+    ph_mode *whole;        /* a row each: work of the factor */
 #ifdef PH_WIDTH
     ph_lane *kept_hard; /* factors and compliances before those of some runs are taken anew */
     ph_mode *kept_soft;
