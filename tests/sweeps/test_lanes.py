@@ -170,20 +170,34 @@ def test_the_schur_stepper_side_by_side_is_that_of_each_run(name: str, order: in
 
 @pytest.mark.parametrize("order", (2, 6))
 def test_springs_that_are_stiff_in_some_runs(order: int, compiler: None) -> None:
-    """Stresses of stiff springs are unknowns of their own: in no run, in some, or in all of those stepped together."""
+    """Stresses of stiff springs are unknowns of their own: in all runs, or in four of eight, and too few are alike then."""
     of = task(build("four_particle"), "k13", ("max(v[1])", "last(energy.stored)"), order, Options(stop=1.0, step=0.02))
-    for low, high in ((50.0, 60.0), (50.0, 5e7), (5e6, 5e7)):
+    for low, high in ((50.0, 60.0), (5e6, 5e7), (50.0, 5e7)):
         result = both(of, np.geomspace(low, high, LANES))
         result.require_same()
-        assert result.inside > (0.0 if low < 100.0 < high else 0.9) or high > 1e3
+        if high < 1e6 < low or high < 100.0:
+            assert result.inside > 0.9
+    if order == 6:  # at order 2 the other spring is stiff enough for all
+        assert result.inside < 0.5
 
 
-def test_steps_of_particles_that_are_halved_and_runs_that_end_with_an_error(compiler: None) -> None:
-    """Steps as long as the chain turns in: some masses let them pass, others by Newton's method or in halves, or not at all."""
-    of = task(build("chain"), "m[10]", ("max(v[2])",), 2, Options(stop=30.0, step=0.5))
-    result = both(of, np.geomspace(1e-4, 1e4, 2 * LANES))
+@pytest.mark.parametrize("order", (2, 6))
+def test_one_run_of_particles_ends_with_an_error_and_the_others_go_on(order: int, compiler: None) -> None:
+    """Dampers that give energy without bound in two runs: longer sweeps, halved steps, and none at last."""
+    of = task(build("four_particle"), "eta0", ("max(v[1])", "last(energy.stored)"), order, Options(stop=3.0, step=0.01))
+    values = np.array([0.1, 0.2, -20.0, 0.3, 0.4, 0.5, -10.0, 0.7])
+    result = both(of, values)
     result.require_same()
-    assert result.inside < 0.9
+    assert [bool(e) for e in result.together.errors] == (values < 0.0).tolist()
+    assert result.inside > 0.95
+
+
+def test_steps_that_are_not_solved_side_by_side(compiler: None) -> None:
+    """Long steps of a chain whose last mass is far from the others: sweeps do not contract in some runs, which then enter less."""
+    of = task(build("chain"), "m[10]", ("max(v[2])",), 2, Options(stop=2.0, step=0.05))
+    result = both(of, np.geomspace(1e-2, 1e2, 2 * LANES))
+    result.require_same()
+    assert 0.3 < result.inside < 0.9
 
 
 def test_constraints_that_newtons_method_has_are_stepped_run_by_run(compiler: None) -> None:
