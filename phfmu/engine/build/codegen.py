@@ -168,7 +168,7 @@ def solver_text(schur: SchurStepper, runs: int, symbol: str = "ph_wide_solver") 
         "Kernels of a discretised model: values with Jacobians, and ledgers", "The Schur stepper of several runs"
     )
     text = head.replace('#include "plan.h"', f'#define PH_WIDTH {runs}\n#include "plan.h"')
-    text += stepper_text(schur, schur_text(schur, "small_tables"))
+    text += stepper_text(schur, "")
     pointer = f"const ph_schur_code *const {symbol}"
     return text + f"PH_API extern {pointer};\n{pointer} = &ph_schur_solver;\n"
 

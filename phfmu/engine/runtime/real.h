@@ -56,7 +56,7 @@ typedef int ph_truth;
 #define PH_RUNS 1
 #define PH_RUN(a, l) (a)
 #define PH_REAL_SQRT(a) sqrt(a)
-#define PH_BITS(c) ((unsigned)((c) != 0))
+#define PH_BITS(c) ((c) ? 1U : 0U)
 #define PH_TRUTH(bits) ((ph_truth)(bits))
 #endif
 

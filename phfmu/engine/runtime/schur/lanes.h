@@ -19,24 +19,13 @@
 #endif
 typedef double ph_lane __attribute__((vector_size(8 * PH_LANES * PH_RUNS), aligned(8)));
 
-/* ph_inner: a lane whose value at the end nobody reads. That of one run has it, as a vector of so many
- * numbers is no faster with one less; those of several runs do without.
- *
- * PH_NODE: the value at node j of a lane that has a place; PH_SPREAD: the same number of a run at all of
- * them; PH_CONSTANT: of all runs; PH_NODES: 1 at the nodes and 0 at the end. PH_INNER: the nodes of a lane
- * that has a place; PH_OUTER: those with nothing at the end. */
+/* PH_NODE: the value at node j of a lane that has a place; PH_SPREAD: the same number of a run at all of
+ * them; PH_CONSTANT: of all runs; PH_NODES: 1 at the nodes and 0 at the end. */
 #ifdef PH_WIDTH
-typedef double ph_inner __attribute__((vector_size(8 * PH_K * PH_RUNS), aligned(8)));
-
 #define PH_NODE(a, j) (((ph_real *)&(a))[j])
 #define PH_SPREAD(a) lane_spread(a, PH_LANES)
 #define PH_CONSTANT(a) ((a) - (ph_lane){0.0})
 #define PH_NODES lane_spread(PH_REAL_SPREAD(1.0), PH_K)
-#define PH_INNER(a) (*(const ph_inner *)&(a))
-#define PH_INNER_SPREAD(a) inner_spread(a)
-#define PH_INNER_CONSTANT(a) ((a) - (ph_inner){0.0})
-#define PH_OUTER(a) inner_outer(a)
-#define PH_AT_NODES(a) inner_spread(a)
 
 /* The first n of its values. */
 static inline __attribute__((always_inline)) ph_lane lane_spread(ph_real a, int n) {
@@ -45,30 +34,9 @@ static inline __attribute__((always_inline)) ph_lane lane_spread(ph_real a, int 
         PH_NODE(lane, j) = a;
     return lane;
 }
-
-static inline __attribute__((always_inline)) ph_inner inner_spread(ph_real a) {
-    ph_inner inner;
-    for (int j = 0; j < PH_K; j++)
-        PH_NODE(inner, j) = a;
-    return inner;
-}
-
-static inline __attribute__((always_inline)) ph_lane inner_outer(ph_inner a) {
-    ph_lane lane = PH_CONSTANT(-0.0);
-    for (int j = 0; j < PH_K; j++)
-        PH_NODE(lane, j) = PH_NODE(a, j);
-    return lane;
-}
 #else
-typedef ph_lane ph_inner;
-
 #define PH_NODE(a, j) ((a)[j])
 #define PH_CONSTANT(a) PH_SPREAD(a)
-#define PH_INNER(a) (a)
-#define PH_INNER_SPREAD(a) PH_SPREAD(a)
-#define PH_INNER_CONSTANT(a) PH_SPREAD(a)
-#define PH_OUTER(a) (a)
-#define PH_AT_NODES(a) ((a) * PH_NODES)
 #if PH_K == 3
 #define PH_SPREAD(a) ((ph_lane){(a), (a), (a), (a)})
 #define PH_NODES ((ph_lane){1.0, 1.0, 1.0, 0.0})
@@ -76,6 +44,35 @@ typedef ph_lane ph_inner;
 #define PH_SPREAD(a) ((ph_lane){(a), (a)})
 #define PH_NODES ((ph_lane){1.0, 0.0})
 #endif
+#endif
+
+/* ph_inner: a lane whose value at the end nobody reads. That of one run has it, as a vector of so many
+ * numbers is no faster with one less; so have several runs of three nodes, as vectors have a power of two.
+ * PH_INNER: the nodes of a lane that has a place; PH_OUTER: those with nothing at the end; PH_AT_NODES: a
+ * number there.
+ */
+#if defined(PH_WIDTH) && PH_K == 1
+typedef ph_real ph_inner;
+
+#define PH_INNER(a) (*(const ph_inner *)&(a))
+#define PH_INNER_SPREAD(a) (a)
+#define PH_INNER_CONSTANT(a) PH_REAL_SPREAD(a)
+#define PH_OUTER(a) inner_outer(a)
+#define PH_AT_NODES(a) (a)
+
+static inline __attribute__((always_inline)) ph_lane inner_outer(ph_inner a) {
+    ph_lane lane = PH_CONSTANT(-0.0);
+    PH_NODE(lane, 0) = a;
+    return lane;
+}
+#else
+typedef ph_lane ph_inner;
+
+#define PH_INNER(a) (a)
+#define PH_INNER_SPREAD(a) PH_SPREAD(a)
+#define PH_INNER_CONSTANT(a) PH_CONSTANT(a)
+#define PH_OUTER(a) (a)
+#define PH_AT_NODES(a) (PH_SPREAD(a) * PH_NODES)
 #endif
 
 /* Functions of lanes, value by value; kind: lane or inner. */
