@@ -14,7 +14,7 @@ import casadi as ca
 from phfmu.schur.lane_groups import LaneGroup, in_order
 from phfmu.schur.lanes import NUMBERS, LaneKernel, require_lanes
 from phfmu.schur.stepper import SchurStepper
-from phfmu.schur.text import KINDS, function_text, include, kernel_text, operations_text
+from phfmu.schur.text import INNER, KINDS, LANE, NUMBER, function_text, include, kernel_text, operations_text
 
 #: per kind: places of the arguments whose bars a sweep wants, of those that are wanted once; results whose bars are given
 PLACES = {
@@ -61,8 +61,9 @@ def _back(kernel: LaneKernel, by: Sequence[int]) -> tuple[str, str]:
     made = ca.Function("f", [*args, *bars], ca.cse(found))
     require_lanes(kernel.kind, made)
     name = f"back_{hashlib.sha256((kernel.kind + made.serialize()).encode()).hexdigest()[:16]}"
-    lanes = [kernel.kind not in NUMBERS] * len(by)
-    return name, function_text(name, made, (*lane_in, *lane_out[:n]), lanes)
+    one = NUMBER if kernel.kind in NUMBERS else LANE
+    kinds = [LANE if kind == INNER else kind for kind in (*lane_in, *lane_out[:n])]
+    return name, function_text(name, made, kinds, [one] * len(by))
 
 
 def back_text(schur: SchurStepper) -> str:

@@ -11,21 +11,35 @@ from phfmu.schur.lane_groups import LaneGroup, in_order
 from phfmu.schur.lanes import LaneKernel
 from phfmu.schur.stepper import SchurStepper
 
-BINARY = {
+#: operations that vectors have too
+ARITHMETIC = {
     ca.OP_ADD: "{a} + {b}", ca.OP_SUB: "{a} - {b}", ca.OP_MUL: "{a} * {b}", ca.OP_DIV: "{a} / {b}",
-    ca.OP_LT: "{a} < {b}", ca.OP_LE: "{a} <= {b}", ca.OP_EQ: "{a} == {b}", ca.OP_NE: "{a} != {b}",
-    ca.OP_AND: "{a} && {b}", ca.OP_OR: "{a} || {b}", ca.OP_IF_ELSE_ZERO: "{a} ? {b} : 0.0",
-    ca.OP_HYPOT: "hypot({a}, {b})",
+    ca.OP_NEG: "-{a}", ca.OP_SQ: "{a} * {a}", ca.OP_TWICE: "{a} + {a}", ca.OP_INV: "1.0 / {a}",
 }  # fmt: skip
-UNARY = {
-    ca.OP_NEG: "-{a}", ca.OP_SQ: "{a} * {a}", ca.OP_TWICE: "{a} + {a}", ca.OP_INV: "1.0 / {a}", ca.OP_NOT: "!{a}",
-    ca.OP_FABS: "fabs({a})",
+#: operations of numbers: name, and expression in x, and y
+LOGIC = {
+    ca.OP_LT: ("lt", "x < y"), ca.OP_LE: ("le", "x <= y"), ca.OP_EQ: ("eq", "x == y"), ca.OP_NE: ("ne", "x != y"),
+    ca.OP_AND: ("and", "x && y"), ca.OP_OR: ("or", "x || y"), ca.OP_NOT: ("not", "!x"),
+    ca.OP_IF_ELSE_ZERO: ("if", "x ? y : 0.0"), ca.OP_HYPOT: ("hypot", "hypot(x, y)"), ca.OP_FABS: ("fabs", "fabs(x)"),
 }  # fmt: skip
+POWER = (ca.OP_POW, ca.OP_CONSTPOW)
 FUNCTIONS = {
     ca.OP_SQRT: "sqrt", ca.OP_EXP: "exp", ca.OP_LOG: "log", ca.OP_SIN: "sin", ca.OP_COS: "cos", ca.OP_TAN: "tan",
     ca.OP_TANH: "tanh", ca.OP_ASIN: "asin", ca.OP_ACOS: "acos", ca.OP_ATAN: "atan", ca.OP_SINH: "sinh",
     ca.OP_COSH: "cosh", ca.OP_LOG1P: "log1p", ca.OP_EXPM1: "expm1",
     ca.OP_ERF: "erf", ca.OP_ASINH: "asinh", ca.OP_ACOSH: "acosh", ca.OP_ATANH: "atanh",
+}  # fmt: skip
+#: expression of an operation of numbers by its name
+EXPRESSIONS = dict(LOGIC.values()) | {f: f"{f}(x)" for f in FUNCTIONS.values()} | {"pow": "pow(x, y)"}
+
+#: operands: the same for all runs, a number of each run, a lane of each run, one that is not read at the end (lanes.h)
+CONSTANT, NUMBER, LANE, INNER = range(4)
+TYPES = ("double", "ph_real", "ph_lane", "ph_inner")
+PREFIXES = ("", "number", "lane", "inner")
+#: how one becomes another
+RAISED = {
+    (CONSTANT, NUMBER): "PH_REAL_SPREAD", (CONSTANT, LANE): "PH_CONSTANT", (NUMBER, LANE): "PH_SPREAD",
+    (CONSTANT, INNER): "PH_INNER_CONSTANT", (NUMBER, INNER): "PH_INNER_SPREAD", (LANE, INNER): "PH_INNER",
 }  # fmt: skip
 
 #: the loops of a model with more degrees of freedom, or instances, are not written out
@@ -37,16 +51,16 @@ SWEPT = ("constraint", "strain", "force")
 #: models without a Schur stepper, and compilers without vectors
 NO_STEPPER = "static const ph_schur_code ph_schur_solver = {0};\n"
 
-#: per kind: macro of lane.inc, arguments that are lanes, results that are lanes
+#: per kind: macro of lane.inc, what its arguments and results are
 KINDS = {
-    "constraint": ("CONSTRAINT", (True, True, False), (True, True)),
-    "strain": ("STRAIN", (True, False), (True,)),
-    "force": ("FORCE", (True, True, True, False), (True,)),
-    "pointwise": ("POINTWISE", (True, False), (True, True)),
-    "stress": ("STRESS", (False, False, False), (False, False)),
-    "start": ("START", (False, False), (False,)),
-    "mass": ("MASS", (False,), (False,)),
-    "load": ("LOAD", (False,), (False,)),
+    "constraint": ("CONSTRAINT", (LANE, INNER, NUMBER), (LANE, INNER)),
+    "strain": ("STRAIN", (INNER, NUMBER), (INNER,)),
+    "force": ("FORCE", (INNER, INNER, INNER, NUMBER), (INNER,)),
+    "pointwise": ("POINTWISE", (INNER, NUMBER), (INNER, INNER)),
+    "stress": ("STRESS", (NUMBER, NUMBER, NUMBER), (NUMBER, NUMBER)),
+    "start": ("START", (NUMBER, NUMBER), (NUMBER,)),
+    "mass": ("MASS", (NUMBER,), (NUMBER,)),
+    "load": ("LOAD", (NUMBER,), (NUMBER,)),
 }
 
 
@@ -55,27 +69,25 @@ def kernel_text(kernel: LaneKernel) -> str:
     return function_text(kernel.name, kernel.function, *KINDS[kernel.kind][1:])
 
 
-def function_text(name: str, f: ca.Function, lane_in: Sequence[bool], lane_out: Sequence[bool]) -> str:
-    """C definition of one function: pointers to its arguments, then to its results; which of them are lanes."""
-    types = ["double", "ph_lane"]
-    arguments = [f"const {types[lane]} *a{i}" for i, lane in enumerate(lane_in)]
-    arguments += [f"{types[lane]} *r{i}" for i, lane in enumerate(lane_out)]
+def function_text(name: str, f: ca.Function, kinds: Sequence[int], results: Sequence[int]) -> str:
+    """C definition of one function: pointers to its arguments, then to its results, of these kinds of operands."""
+    arguments = [f"const {TYPES[kind]} *a{i}" for i, kind in enumerate(kinds)]
+    arguments += [f"{TYPES[kind]} *r{i}" for i, kind in enumerate(results)]
     lines = []
-    held: dict[int, tuple[str, bool]] = {}  # work place -> (C name or number, is it a lane)
+    held: dict[int, tuple[str, int]] = {}  # work place -> (C name or number, what it is)
     for i in range(f.n_instructions()):
         op, inputs, outputs = f.instruction_id(i), f.instruction_input(i), f.instruction_output(i)
         if op == ca.OP_INPUT:
-            held[outputs[0]] = (f"a{inputs[0]}[{inputs[1]}]", lane_in[inputs[0]])
+            held[outputs[0]] = (f"a{inputs[0]}[{inputs[1]}]", kinds[inputs[0]])
         elif op == ca.OP_CONST:
-            held[outputs[0]] = (_number(f.instruction_constant(i)), False)
+            held[outputs[0]] = (_number(f.instruction_constant(i)), CONSTANT)
         elif op == ca.OP_OUTPUT:
-            value, is_lane = held[inputs[0]]
-            spread = lane_out[outputs[0]] and not is_lane
-            lines.append(f"    r{outputs[0]}[{outputs[1]}] = {f'PH_SPREAD({value})' if spread else value};")
+            value = _raised(held[inputs[0]], results[outputs[0]])
+            lines.append(f"    r{outputs[0]}[{outputs[1]}] = {value};")
         else:
-            text, is_lane = _operation(op, [held[j] for j in inputs])
-            lines.append(f"    const {types[is_lane]} t{i} = {text};")
-            held[outputs[0]] = (f"t{i}", is_lane)
+            text, kind = _operation(op, [held[j] for j in inputs])
+            lines.append(f"    const {TYPES[kind]} t{i} = {text};")
+            held[outputs[0]] = (f"t{i}", kind)
     return f"PH_INLINE void {name}({', '.join(arguments)}) {{\n" + "\n".join(lines) + "\n}\n"
 
 
@@ -83,21 +95,21 @@ def _number(value: float) -> str:
     return f"({value!r})" if value < 0 else repr(value)
 
 
-def _operation(op: int, operands: Sequence[tuple[str, bool]]) -> tuple[str, bool]:
-    (a, is_lane), (b, lane_b) = operands[0], operands[-1]
-    if op in BINARY:
-        return BINARY[op].format(a=a, b=b), is_lane or lane_b
-    if op in UNARY:
-        return UNARY[op].format(a=a), is_lane
-    if op in (ca.OP_POW, ca.OP_CONSTPOW):
-        if is_lane or lane_b:
-            return f"lane_pow({_spread(a, is_lane)}, {_spread(b, lane_b)})", True
-        return f"pow({a}, {b})", False
-    return (f"lane_{FUNCTIONS[op]}({a})" if is_lane else f"{FUNCTIONS[op]}({a})"), is_lane
+def _operation(op: int, operands: Sequence[tuple[str, int]]) -> tuple[str, int]:
+    """C text of an operation and what its result is: arithmetic has constants as they are."""
+    kind = max(of for _, of in operands)
+    if op in ARITHMETIC:
+        a, b = (text if of == CONSTANT else _raised((text, of), kind) for text, of in (operands[0], operands[-1]))
+        return ARITHMETIC[op].format(a=a, b=b), kind
+    name = "pow" if op in POWER else LOGIC[op][0] if op in LOGIC else FUNCTIONS[op]
+    kind = max(kind, NUMBER)
+    arguments = ", ".join(_raised(operand, kind) for operand in operands)
+    return f"{PREFIXES[kind]}_{name}({arguments})", kind
 
 
-def _spread(name: str, is_lane: bool) -> str:
-    return name if is_lane else f"PH_SPREAD({name})"
+def _raised(operand: tuple[str, int], kind: int) -> str:
+    text, of = operand
+    return text if of == kind else f"{RAISED[of, kind]}({text})"
 
 
 def is_small(schur: SchurStepper) -> bool:
@@ -120,9 +132,15 @@ def stepper_text(schur: SchurStepper, tables: str) -> str:
 
 
 def operations_text(bodies: str) -> str:
-    """C definitions of the functions of lanes that bodies call."""
-    used = sorted(set(re.findall(r"\blane_(\w+)\(", bodies)))
-    return "".join("PH_LANE_POWER\n" if f == "pow" else f"PH_LANE_FUNCTION({f})\n" for f in used)
+    """C definitions of the functions of lanes and of numbers that bodies call."""
+    text, found = "", sorted(set(re.findall(r"\b(number|lane|inner)_(\w+)\(", bodies)))
+    for kind, f in found:
+        if kind != "number":
+            text += f"PH_LANE_POWER({kind})\n" if f == "pow" else f"PH_LANE_FUNCTION({kind}, {f})\n"
+            continue
+        count = "TWO" if "y" in re.findall(r"\b[xy]\b", EXPRESSIONS[f]) else "ONE"
+        text += f"PH_NUMBER_OF_{count}({f}, {EXPRESSIONS[f]})\n"
+    return text
 
 
 def _small(schur: SchurStepper, tables: str) -> str:

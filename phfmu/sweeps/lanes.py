@@ -1,7 +1,8 @@
 """Lanes: runs of one model whose steps are taken together, each number a vector with one of each run.
 
 Each run has the bits of its own steps: vectors have the same operations in the same order, and a run that anything unusual
-happens to (another pivot order, a step that is halved or refused) takes that step by itself.
+happens to (another pivot order, a step that is halved or refused) takes that step by itself.  Newton's method has interpreted
+kernels; a Schur stepper is compiled once more, for so many runs.
 """
 
 from __future__ import annotations
@@ -12,12 +13,24 @@ from pathlib import Path
 
 import numpy as np
 
+from phfmu.engine.build.codegen import solver_text
+from phfmu.engine.build.compile import Source, compile, find, host_flags
 from phfmu.engine.native.code import Interpreted
 from phfmu.engine.native.compiled import made_of
+from phfmu.engine.native.library import headers
 from phfmu.engine.native.native import NativeInstance
+from phfmu.schur.stepper import SchurStepper
 
 #: runs side by side
-LANES = int(re.findall(r"#define PH_LANE_WIDTH (\d+)", (Path(__file__).parent / "runtime" / "wide.h").read_text())[0])
+LANES = int(
+    re.findall(r"#define PH_LANE_WIDTH (\d+)", (Path(__file__).parent / "runtime" / "lane_width.h").read_text())[0]
+)
+
+
+#: a Schur stepper of more nodes fills the vectors of a processor with those of one run: side by side it gained nothing (measured)
+NODES = 1
+#: steps of a thread that earn the compiler's time of a Schur stepper, some seconds at 0.3 to 8 us a step
+EARNS = 5_000_000
 
 
 class Lanes:
@@ -39,13 +52,48 @@ class Lanes:
         return self._lib.ph_lanes_taken(self.address)
 
 
-def lanes_of(instance: NativeInstance, lib: ctypes.CDLL, books: int) -> Lanes | None:
-    """Lanes for runs of the model of an instance, with the address of their books.
+def lanes_of(instance: NativeInstance, lib: ctypes.CDLL, books: int, solver: Solver | None) -> Lanes | None:
+    """Lanes for runs of the model of an instance, with the address of their books, `solver`: its Schur stepper's.
 
-    None if it has a Schur stepper, constraints that may rest, or operations that are not interpreted.
+    None if the library does not take the steps of the model so.
     """
     made = made_of(instance.model, instance.kind)
-    if made.kernels.unknown:
-        return None
-    lanes = Lanes(Interpreted(made.kernels, lib=lib, prefix="ph_wide_interpret"), lib, made.tables.pointer, books)
+    at = None if solver is None else solver.address
+    code = Interpreted(made.kernels, lib=lib, prefix="ph_wide_interpret", solver=at)
+    lanes = Lanes(code, lib, made.tables.pointer, books)
     return lanes if lanes.fits else None
+
+
+def why_not(instance: NativeInstance) -> str:
+    """Why the steps of a model are taken run by run; "" if lanes take them."""
+    made, plan = made_of(instance.model, instance.kind), instance.model.step
+    if made.kernels.unknown:
+        return "an equation has an operation that only compiled code has"
+    if plan.nw == 0:
+        return "its steps are explicit"
+    if plan.schur is None or not made.code.compiled:
+        return f"Newton's method with {len(plan.hold)} constraints that may come to rest" if len(plan.hold) else ""
+    if plan.hold.rests.any():
+        return "redundant constraints rest, which are looked at in each step of a run"
+    return (
+        ""
+        if plan.k <= NODES
+        else f"the Schur stepper of {plan.k} nodes fills the vectors of the processor with one run"
+    )
+
+
+class Solver:
+    """A Schur stepper compiled for runs side by side; `address`: of its ph_schur_code.  CompilerMissing, CompileError."""
+
+    def __init__(self, schur: SchurStepper):
+        self._lib = ctypes.CDLL(str(compile(_sources(schur), flags=host_flags()).path))
+        self.address = ctypes.c_void_p.in_dll(self._lib, "ph_wide_solver").value
+
+    @staticmethod
+    def found(schur: SchurStepper) -> bool:
+        """Whether it was compiled before."""
+        return find(_sources(schur), flags=host_flags()) is not None
+
+
+def _sources(schur: SchurStepper) -> dict[str, Source]:
+    return {**headers(), "lanes.c": solver_text(schur, LANES)}

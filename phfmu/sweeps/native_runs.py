@@ -18,6 +18,7 @@ from phfmu.audit.summing.ordinary import Ordinary
 from phfmu.audit.summing.run_sums import RunSums
 from phfmu.discretise.constant_energy import Constants
 from phfmu.discretise.model import CONSISTENCY
+from phfmu.engine.build.compile import CompileError, CompilerMissing
 from phfmu.engine.native.library import drivers
 from phfmu.engine.native.native import NativeInstance
 from phfmu.engine.native.structures import Header, Structures
@@ -30,7 +31,8 @@ from phfmu.outcome.status import StepFailure
 from phfmu.runs.loop import segments
 from phfmu.runs.march import pieces
 from phfmu.runs.stretches import stretches
-from phfmu.sweeps.lanes import LANES, Lanes, lanes_of
+from phfmu.sweeps import lanes as side_by_side
+from phfmu.sweeps.lanes import LANES, Lanes, Solver, lanes_of, why_not
 from phfmu.sweeps.outcome import Outcome, Stopped
 from phfmu.sweeps.places import INPUT, PARAMETER, Places
 from phfmu.sweeps.task import ModelTask
@@ -169,7 +171,9 @@ class NativeRuns:
         self._varies = any(place in own for place, _ in self._parameters)
         self._lanes: Lanes | None = None
         self._expected = 0.0
-        self._may = lanes and not self._each[0].struct.refresh
+        self._alone = self._why_not() if lanes else ""
+        self._may = lanes and not self._alone
+        self._found: bool | None = None
 
     def take(self, rows: NDArray[Any], first: int = 0) -> Outcome:
         """Runs with these values (n x names); their numbers do not matter here."""
@@ -196,19 +200,39 @@ class NativeRuns:
                     errors[i] = self._each[i - last].why(int(status[i]))
             begun += done
         steps = facts[:, 0].astype(int)
-        return Outcome(values, steps, facts[:, 1].copy(), tuple(errors), self._inside - before)
+        return Outcome(values, steps, facts[:, 1].copy(), tuple(errors), self._inside - before, self._alone)
 
     def _begin_lanes(self, n: int) -> None:
         """Instances for runs side by side, once there are some, of steps enough."""
         self._expected += n * self._steps
-        if not self._may or n < LANES or self._expected < PAYS:
+        if not self._may or n < LANES or self._expected < PAYS or not self._has_solver():
             return
         self._may = False
-        instance = self._each[0].instance
+        instance, schur = self._each[0].instance, self._task.model.step.schur
+        try:
+            solver = None if schur is None else Solver(schur)
+        except (CompilerMissing, CompileError, OSError) as error:
+            self._alone = f"its Schur stepper is not compiled for several ({error})"
+            return
         self._books = Books(self._task, instance, self._lib, LANES)
-        self._lanes = lanes_of(instance, self._lib, self._books.address)
+        self._lanes = lanes_of(instance, self._lib, self._books.address, solver)
         if self._lanes is not None:
             self._each += [_Run(self._task, self._lib, self._stop) for _ in range(LANES - 1)]
+
+    def _has_solver(self) -> bool:
+        """Whether a Schur stepper of several runs was compiled before, or its compiler is earned."""
+        schur = self._task.model.step.schur
+        if schur is None or self._expected >= side_by_side.EARNS:
+            return True
+        if self._found is None:
+            self._found = Solver.found(schur)
+        return self._found
+
+    def _why_not(self) -> str:
+        """Why no steps will be taken side by side."""
+        if self._each[0].struct.refresh:
+            return "a measure of values at an instant is solved for in each step of a run"
+        return why_not(self._each[0].instance)
 
     @property
     def _inside(self) -> int:

@@ -20,6 +20,7 @@ class Outcome:
     misses in its worst step (n; above 1 it is violated), and why a run failed ("" if it did not).
 
     inside: steps that were taken side by side with those of other runs; none of what is read from a file
+    alone: why no steps of the model are, "" if they may be
     """
 
     values: NDArray[Any]
@@ -27,9 +28,11 @@ class Outcome:
     ledger: NDArray[Any]
     errors: tuple[str, ...]
     inside: int = 0
+    alone: str = ""
 
     @classmethod
     def joined(cls, parts: Sequence[Outcome]) -> Outcome:
         """Runs after runs."""
         values, steps, ledger = (np.concatenate([getattr(p, n) for p in parts]) for n in ("values", "steps", "ledger"))
-        return cls(values, steps, ledger, tuple(e for p in parts for e in p.errors), sum(p.inside for p in parts))
+        errors, inside = tuple(e for p in parts for e in p.errors), sum(p.inside for p in parts)
+        return cls(values, steps, ledger, errors, inside, max((p.alone for p in parts), default=""))

@@ -60,7 +60,7 @@ def sweep(
     scheduler: of a Dask cluster whose workers take the runs; `target` is then a function that gives the scene or component, which
     they call;  keep: folder for the whole result of each run, 000000.parquet and so on, which the run loop takes, not the
     compiled one;  lanes: whether steps of several runs may be taken side by side, which changes no bit of the results;
-    progress: called with the number of runs that are done;  told: called with a line that says how many steps were.
+    progress: called with the number of runs that are done;  told: called with a line that says how many steps were, or why none.
     Table: a column per name and per measure, `steps`, `ledger` (by how much of what is allowed the energy balance of a run
     misses in its worst step: above 1 it is violated), `error` (why a run failed: its measures are null; "" if it did not).
     Errors: KeyError for names that cannot be set, ValueError for measures and options, DeclarationError, CompilerMissing, OSError
@@ -84,6 +84,8 @@ def sweep(
             raise
     if told is not None and outcome.inside:
         told(f"{outcome.inside} of {outcome.steps.sum()} steps side by side, {recipe.at_once} runs at a time")
+    elif told is not None and outcome.alone:
+        told(f"steps are taken run by run: {outcome.alone}")
     table = _table(task, design, outcome)
     if file is not None and parts is not None:
         _write(table, file, parts)

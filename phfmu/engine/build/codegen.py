@@ -162,6 +162,17 @@ def kernel_table(
     return KernelTable(text, found)
 
 
+def solver_text(schur: SchurStepper, runs: int, symbol: str = "ph_wide_solver") -> str:
+    """C text of `const ph_schur_code *const <symbol>`, the Schur stepper for steps of so many runs side by side."""
+    head = HEAD.replace(
+        "Kernels of a discretised model: values with Jacobians, and ledgers", "The Schur stepper of several runs"
+    )
+    text = head.replace('#include "plan.h"', f'#define PH_WIDTH {runs}\n#include "plan.h"')
+    text += stepper_text(schur, "")
+    pointer = f"const ph_schur_code *const {symbol}"
+    return text + f"PH_API extern {pointer};\n{pointer} = &ph_schur_solver;\n"
+
+
 def port_text(kernels: PortKernels, symbol: str = "ph_the_ports") -> str:
     """ports.c: a ph_ports."""
     made = [body(f) for f in (kernels.shift, kernels.jump, kernels.tangent)]

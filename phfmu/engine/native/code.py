@@ -88,14 +88,15 @@ class Interpreted(Filled):
     """Kernels as programs of the runtime, which become compiled ones when that is earned.
 
     `work`: operations of an evaluation of the plan of a step; 0: they stay interpreted.  prefix: of the functions of `lib`
-    (default: the runtime) that interpret.
+    (default: the runtime) that interpret.  solver: address of a ph_schur_code.
     """
 
     build: Build | None = None
 
     def __init__(
-        self, kernels: Kernels, work: int = 0, lib: ctypes.CDLL | None = None, prefix: str = "ph_interpret"
-    ) -> None:
+        self, kernels: Kernels, work: int = 0, lib: ctypes.CDLL | None = None, prefix: str = "ph_interpret",
+        solver: int | None = None,
+    ) -> None:  # fmt: skip
         super().__init__()
         self._kernels, self.index, self.compiled = kernels, kernels.index, False
         lib = lib or runtime()[1]
@@ -109,7 +110,7 @@ class Interpreted(Filled):
                 row.nwork = max(row.nwork, slots)
                 setattr(row, name, _address(lib, f"{prefix}_{name}"))
             row.program = ctypes.addressof(self.fill("ph_programs", None, programs))
-        self._code = CodeRow(kernels.token, len(kernels.members), ctypes.addressof(self._rows), None)
+        self._code = CodeRow(kernels.token, len(kernels.members), ctypes.addressof(self._rows), solver)
         self.address = ctypes.addressof(self._code)
         #: steps that are still to be taken before compiled kernels are worth their time
         self._left = (COMPILING[0] + COMPILING[1] * kernels.size) / (SAVED * work) if work else inf

@@ -8,7 +8,7 @@
  * does not converge, Newton's method. */
 static int solve(ph_instance *in, double h) {
     ph_system *s = &in->step;
-    in->fast = in->schur && in->planned && in->model->code->solver->solve(in->schur, s, h) == PH_OK;
+    in->fast = in->schur && in->planned && in->model->code->solver->solve(in->schur, s, h) == 0;
     if (!in->fast)
         return ph_solve(s, h);
     ph_eval_h(s, h);

@@ -78,7 +78,15 @@ struct ph_system {
     ph_real update;
     long long *count;
     long long most; /* count[PH_ITERATIONS] from which on no attempt begins */
+#ifdef PH_WIDTH
+    unsigned wanted; /* runs whose step is solved */
+#endif
 };
+#ifdef PH_WIDTH
+#define PH_WANTED(s) ((s)->wanted)
+#else
+#define PH_WANTED(s) 1U
+#endif
 
 void ph_eval_h(ph_system *s, double h);
 void ph_eval(ph_system *s, int slots, int late);

@@ -97,7 +97,7 @@ def measure(case: Case, jobs: int) -> Cost:
     start = float(next(p.start[0] for p in here.declaration().parameters if p.name == VARIED))
     options = Options(stop=case.stop, step=here.step)
     runs = grid({VARIED: start * np.linspace(1.0, 1.2, case.runs)})
-    take = partial(sweep, here, measures=case.measures, options=options)
+    take = partial(sweep, here, measures=case.measures, options=options, lanes=False)
     take(grid({VARIED: [start]}))  # what is compiled once
     model = build_model(here.declaration())
     engine = _Alone(model, runs, here.step, round(case.stop / here.step))
@@ -124,7 +124,9 @@ def measure(case: Case, jobs: int) -> Cost:
 TOGETHER = (
     ("oscillator", "mass1.k", "max(mass1.q)", 2, 1.0), ("oscillator", "mass1.k", "max(mass1.q)", 4, 1.0),
     ("oscillator", "mass1.k", "max(mass1.q)", 6, 1.0), ("two_machine", "line.R", "max(line.flux[1])", 2, 0.01),
-    ("dc_motor", "R", "max(flux)", 2, 0.1),
+    ("dc_motor", "R", "max(flux)", 2, 0.1), ("four_particle", "k13", "max(v[1])", 2, 3.0),
+    ("chain", "m[1]", "max(v[1])", 2, 1.0), ("rope_bridge", "m[1]", "max(v[1])", 2, 1.0),
+    ("four_particle", "k13", "max(v[1])", 6, 3.0),
 )  # fmt: skip
 SIDE_BY_SIDE = 160  # runs of a turn
 MORE_TURNS = 5
@@ -148,6 +150,7 @@ def gain(name: str, varied: str, measured: str, order: int, stop: float) -> Gain
     from phfmu.engine.native.native import NativeInstance
     from phfmu.runs.options import Options
     from phfmu.schemes.named import named_scheme
+    from phfmu.sweeps.lanes import Solver
     from phfmu.sweeps.native_runs import NativeRuns
     from phfmu.sweeps.recipe import Recipe
     from phfmu.target import scene
@@ -160,15 +163,17 @@ def gain(name: str, varied: str, measured: str, order: int, stop: float) -> Gain
     options = Options(stop=stop, step=here.step)
     task = Recipe(here, (varied,), (measured,), options, named_scheme(declaration, order=order), "native").task()
     compiled = NativeInstance(task.model, kernels="compiled")
+    schur = task.model.step.schur
+    made = None if schur is None else Solver(schur)  # is found then
     rows = start * np.linspace(1.0, 1.2, SIDE_BY_SIDE)[:, None]
     both = NativeRuns(task, lanes=False), NativeRuns(task)
     times, found = tuple[list[float], list[float]](([], [])), [runs.take(rows) for runs in both]
     for _ in range(MORE_TURNS):
-        for runs, spent in zip(both, times, strict=True):
+        for i, (runs, spent) in enumerate(zip(both, times, strict=True)):
             before = thread_time()
-            runs.take(rows)
+            found[i] = runs.take(rows)
             spent.append(thread_time() - before)
-    del compiled
+    del compiled, made
     a, b = found
     n = 1e-6 * a.steps.sum()
     return Gain(
@@ -221,8 +226,9 @@ PAGE = """# Sweeps
 
 Runs of `four_particle` that differ in one stiffness, time of a run: of its steps alone, in calls of the engine; in a sweep by
 one thread, whose `own` part is what a run costs beside its steps (once: values set, start checked, a row of the table; in each
-step: measures, ledger judged), both in CPU time; and by all cores, on the wall. `share of the cores`: steps alone over what the
-cores had time for. `once`: what a sweep costs that does not grow with its runs, with code that was compiled before.
+step: measures, ledger judged), both in CPU time; and by all cores, on the wall. Each run is stepped by itself here
+(`--no-lanes`). `share of the cores`: steps alone over what the cores had time for. `once`: what a sweep costs that does not grow
+with its runs, with code that was compiled before.
 
 Where it ends: runs of one step cost little but the own part, many measures cost theirs in every step, and a measure of a value
 at an instant takes a solve there in every step (last row). Memory grows by the row of each run.
@@ -238,11 +244,14 @@ LANES = """
 ## Runs side by side
 
 Steps of several runs at a time, each number a vector with one of each run, against steps of each by itself with compiled
-kernels: CPU time of a step by one thread, with all that a sweep does in it. Models with a
-[Schur stepper](../understand/glossary.md#schur-stepper) (`four_particle` above) are stepped run by run.
+kernels: CPU time of a step by one thread, with all that a sweep does in it; gain: the median of turns, each of them one after the
+other in one process. Newton's method has interpreted kernels here; a
+[Schur stepper](../understand/glossary.md#schur-stepper) is compiled once more, when it is found or the runs earn the compiler's
+time. For one run it has the nodes of a step in a vector already, two numbers at order 2 and four at order 6: vectors of this
+processor hold four, so that at order 6 several runs gain nothing, and steps are taken run by run.
 
 """
 
 
 def page(progress: Callable[[str], None] = lambda _: None) -> str:
-    return PAGE + table(progress=progress) + LANES + gains(progress) + "\n"
+    return PAGE + table(progress=progress) + LANES + gains(progress) + f"\n\n{processor()}; load {load()}\n"

@@ -10,13 +10,16 @@ typedef struct ph_lanes {
     ph_wide *wide;
     ph_instance *in[PH_LANE_WIDTH]; /* where the numbers of a run are while it is not inside */
     unsigned inside;                /* bit l: run l is stepped with the others */
+    int sweeps;                     /* 1: steps are those of a Schur stepper */
+    unsigned clock;                 /* steps of the stretch */
+    unsigned period[PH_LANE_WIDTH]; /* a run that has left enters at multiples of so many steps */
     long long taken;                /* steps of runs inside since the start */
     const ph_books *books;          /* of all runs, compiled for these */
     double *row[PH_NROW];           /* ledger of the last step of each */
 } ph_lanes;
 
 PH_API size_t ph_lanes_size(const ph_model *model, const ph_code *code);
-/* PH_ARGUMENT: steps of the model are not those of wide.h. */
+/* PH_ARGUMENT: steps of the model are not those of wide.h; the solver of `code` is for so many runs. */
 PH_API int ph_lanes_init(void *memory, const ph_model *model, const ph_code *code, const ph_books *books);
 /* Steps that runs have taken inside. */
 PH_API long long ph_lanes_taken(const ph_lanes *lanes);

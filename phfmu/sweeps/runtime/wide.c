@@ -1,6 +1,7 @@
 /* See wide.h. The sources of a step once more, with vectors as their numbers, and Newton's method with a
  * decision for each run. */
-#define PH_WIDTH 8 /* PH_LANE_WIDTH */
+#include "lane_width.h"
+#define PH_WIDTH PH_LANE_WIDTH
 
 #define ph_accept ph_wide_accept_
 #define ph_basis ph_wide_basis
@@ -33,8 +34,6 @@
 
 #include "wide.h"
 
-_Static_assert(PH_WIDTH == PH_LANE_WIDTH, "rows of the arrays of wide.h");
-
 #include "attempts.c"
 #include "eval.c"
 #include "inputs.c"
@@ -54,20 +53,6 @@ struct ph_wide {
     ph_real *factored;
     unsigned recalled; /* runs whose factors are to be made from s->kept */
 };
-
-static unsigned bits(ph_truth c) {
-    unsigned found = 0;
-    for (int l = 0; l < PH_WIDTH; l++)
-        found |= (unsigned)(c[l] != 0) << l;
-    return found;
-}
-
-static ph_truth truth(unsigned runs) {
-    ph_truth c;
-    for (int l = 0; l < PH_WIDTH; l++)
-        c[l] = runs >> l & 1 ? -1 : 0;
-    return c;
-}
 
 static size_t lay(ph_wide *w, char *memory) {
     const ph_plan *p = w->model.step;
@@ -108,6 +93,8 @@ ph_wide *ph_wide_init(void *memory, const ph_model *model, const ph_code *code) 
     s->count = w->in.count;
     s->v[0] = PH_REAL_SPREAD(1.0);
     s->hp[1] = NAN;
+    if (w->in.schur)
+        code->solver->init(w->in.schur, model->step);
     return w;
 }
 
@@ -119,6 +106,8 @@ int ph_wide_prepare(ph_wide *w, const int *pivot, double last_h, int held) {
     ph_system *s = &w->in.step;
     *s->last_h = last_h;
     w->in.head->held = held;
+    if (w->in.schur)
+        return PH_OK;
     if (ph_lu_adopt(&s->lu, pivot))
         return PH_SINGULAR;
     s->lu.filled = 0;
@@ -151,7 +140,7 @@ static unsigned changed(const ph_system *s) {
     ph_truth found = {0};
     for (int e = 0; e < s->plan->nnz; e++)
         found |= (ph_truth)s->a[e] ^ (ph_truth)s->factored[e];
-    return bits(found);
+    return PH_BITS(found);
 }
 
 /* New factors of the `fresh` runs at the present matrix; those of which a pivot is too small. `kept` ones
@@ -160,7 +149,7 @@ static unsigned factor(ph_wide *w, unsigned fresh, unsigned kept) {
     ph_system *s = &w->in.step;
     ph_lu *lu = &s->lu;
     const int n = s->plan->nw, nnz = s->plan->nnz, entries = lu->start[n];
-    const ph_truth taken = truth(~kept);
+    const ph_truth taken = PH_TRUTH(~kept);
     if (kept) {
         copy(w->value, lu->value, entries);
         copy(w->inverse, lu->inverse, n);
@@ -174,7 +163,7 @@ static unsigned factor(ph_wide *w, unsigned fresh, unsigned kept) {
         blend(s->scale, w->scale, n, taken);
         blend(s->factored, w->factored, nnz, taken);
     }
-    return bits(lu->refused) & fresh;
+    return PH_BITS(lu->refused) & fresh;
 }
 
 /* Newton's method from the w in Y; the runs that it has solved. */
@@ -198,11 +187,11 @@ static unsigned newton(ph_wide *w, unsigned going, unsigned keeping, ph_wide_cos
             going &= ~factor(w, fresh, (going | found) & ~fresh);
         }
         sum = scale_residual(s);
-        going &= bits(sum - sum == 0.0);
+        going &= PH_BITS(sum - sum == 0.0);
         ph_lu_solve(&s->lu, s->rhs, s->dw);
         copy(s->base, s->y, n);
         update = correct(s, s->base, 1.0);
-        blend(s->y, s->base, n, truth(going));
+        blend(s->y, s->base, n, PH_TRUTH(going));
         for (int l = 0; l < PH_WIDTH; l++) {
             ph_verdict verdict;
             if (!(going >> l & 1))
@@ -222,7 +211,7 @@ static unsigned newton(ph_wide *w, unsigned going, unsigned keeping, ph_wide_cos
         if (astray) { /* as for one run: rounding makes it not quite what it was */
             copy(s->base, s->y, n);
             correct(s, s->base, -1.0);
-            blend(s->y, s->base, n, truth(astray));
+            blend(s->y, s->base, n, PH_TRUTH(astray));
         }
     }
     if (!found)
@@ -236,7 +225,7 @@ static unsigned newton(ph_wide *w, unsigned going, unsigned keeping, ph_wide_cos
     sum = PH_REAL_SPREAD(0.0);
     for (int i = 0; i < s->plan->nrow; i++)
         sum += s->r[i] - s->r[i];
-    return found & bits(sum == 0.0);
+    return found & PH_BITS(sum == 0.0);
 }
 
 /* The factors of the runs that have entered with a kept matrix; those that cannot be had. */
@@ -251,6 +240,27 @@ static unsigned recall(ph_wide *w, unsigned wanted) {
     return factor(w, recalled, wanted & ~recalled);
 }
 
+/* Newton's method from the last step. */
+static unsigned search(ph_wide *w, double h, unsigned wanted, unsigned trusting, ph_wide_cost *cost) {
+    ph_system *s = &w->in.step;
+    ph_eval_h(s, h);
+    start_guess(s, s->last, h / *s->last_h);
+    return newton(w, wanted, h == *s->last_h ? trusting : 0, cost);
+}
+
+/* The Schur stepper. */
+static unsigned sweep(ph_wide *w, double h, unsigned wanted) {
+    ph_system *s = &w->in.step;
+    unsigned solved;
+    s->wanted = wanted;
+    solved = wanted & ~w->in.model->code->solver->solve(w->in.schur, s, h);
+    if (solved) {
+        ph_eval_h(s, h);
+        ph_eval_late(s);
+    }
+    return solved;
+}
+
 unsigned ph_wide_solve(ph_wide *w, double t, double h, unsigned wanted, unsigned trusting,
                        ph_wide_cost *cost) {
     ph_instance *in = &w->in;
@@ -261,11 +271,9 @@ unsigned ph_wide_solve(ph_wide *w, double t, double h, unsigned wanted, unsigned
     wanted &= ~recall(w, wanted);
     *time = PH_REAL_SPREAD(t);
     ph_resample(in, 0.0, 1.0, s->y + s->plan->nw);
-    ph_eval_h(s, h);
-    start_guess(s, s->last, h / *s->last_h);
-    solved = newton(w, wanted, h == *s->last_h ? trusting : 0, cost);
+    solved = in->schur ? sweep(w, h, wanted) : search(w, h, wanted, trusting, cost);
     if (solved)
-        solved &= ~bits(ph_weigh(in, h));
+        solved &= ~PH_BITS(ph_weigh(in, h));
     *time = before;
     return solved;
 }

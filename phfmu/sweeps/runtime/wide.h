@@ -4,13 +4,13 @@
 #ifndef PH_WIDE_H
 #define PH_WIDE_H
 
+#include "lane_width.h"
 #include "system.h"
-
-#define PH_LANE_WIDTH 8
 
 typedef struct ph_wide ph_wide;
 
-/* Bytes for runs of `model` with the kernels of `code`, all of them interpreted by ph_wide_interpret_*. */
+/* Bytes for runs of `model` with the kernels of `code`, all of them interpreted by ph_wide_interpret_*, and
+ * with its solver, which is compiled for so many runs: with one they have no other way to solve a step. */
 size_t ph_wide_size(const ph_model *model, const ph_code *code);
 /* In memory of so many bytes, aligned for double. */
 ph_wide *ph_wide_init(void *memory, const ph_model *model, const ph_code *code);

@@ -1,5 +1,6 @@
 /* The ledger of runs side by side: the sources of that of one, with vectors as their numbers. */
-#define PH_WIDTH 8 /* PH_LANE_WIDTH */
+#include "lane_width.h"
+#define PH_WIDTH PH_LANE_WIDTH
 
 #define ph_account ph_wide_account
 #define ph_books_constant ph_wide_books_constant

@@ -91,7 +91,7 @@ typedef struct ph_schur {
 
 /* The Schur stepper compiled for the lanes of one model; size is NULL where there is none. init lays its work
  * space out in memory of size(plan) bytes aligned for double. solve: from x, u, p and the last unknowns of
- * a system to its new ones; PH_OK, or a status that says the sparse Newton has to do it. depend: after a
+ * a system to its new ones; the runs, as bits, for which the sparse Newton has to do it. depend: after a
  * solve, how the constraint whose multipliers are the unknowns rows (k), and which it has left out, depends
  * on the others: at each node the null vector of Dg^T with 1 in its place, into dw at the multipliers. */
 struct ph_plan;
@@ -99,7 +99,7 @@ struct ph_system;
 typedef struct ph_schur_code {
     size_t (*size)(const struct ph_plan *plan);
     void (*init)(void *memory, const struct ph_plan *plan);
-    int (*solve)(void *memory, struct ph_system *system, double h);
+    unsigned (*solve)(void *memory, struct ph_system *system, double h);
     int (*depend)(void *memory, struct ph_system *system, const int *rows);
 } ph_schur_code;
 
