@@ -30,6 +30,8 @@ Array = NDArray[np.float64]
 FULL = 160
 #: numbers that are held at a time, at most
 ROOM = 4_000_000
+#: points of one call of a mapped function: any number of points is made of these, so that there are few mapped functions
+TOGETHER = (512, 64, 8, 1)
 
 
 @dataclass(frozen=True)
@@ -255,21 +257,31 @@ class _Mapped:
 
     def at(self, at: Point, some: slice) -> list[_Matrices]:
         """The results at some of the points."""
-        f, given = self._function, (at.x, at.w, at.u, at.p, at.h[:, None])
-        n = len(at.h[some])
-        if n not in self._buffers:
-            argument = [np.zeros((n, f.nnz_in(i))) for i in range(f.n_in())]
-            self._buffers[n] = Buffered(f, argument, [np.zeros((n, f.nnz_out(i))) for i in range(f.n_out())])
-        buffer = self._buffers[n]
-        for own, values in zip(buffer.arg, given, strict=True):
-            own[:] = values[some]
-        buffer.call()
-        found = []
-        for i, values in enumerate(buffer.res):
+        f, given = self._function, [a[some] for a in (at.x, at.w, at.u, at.p, at.h[:, None])]
+        found, done, n = [np.empty((len(given[0]), f.nnz_out(i))) for i in range(f.n_out())], 0, len(given[0])
+        while done < n:
+            size = next(t for t in TOGETHER if t <= n - done)
+            buffer, part = self._buffer(size), slice(done, done + size)
+            for own, values in zip(buffer.arg, given, strict=True):
+                own[:] = values[part]
+            buffer.call()
+            for own, values in zip(found, buffer.res, strict=True):
+                own[part] = values
+            done += size
+        matrices = []
+        for i, values in enumerate(found):
             sparsity = f.sparsity_out(i)
             row, col = (np.array(t, np.intp) for t in sparsity.get_triplet())
-            found.append(_Matrices(sparsity.shape, row, col, values.copy()))
-        return found
+            matrices.append(_Matrices(sparsity.shape, row, col, values))
+        return matrices
+
+    def _buffer(self, n: int) -> Buffered:
+        """The function mapped over n points."""
+        if n not in self._buffers:
+            f = self._function
+            argument = [np.zeros((n, f.nnz_in(i))) for i in range(f.n_in())]
+            self._buffers[n] = Buffered(f, argument, [np.zeros((n, f.nnz_out(i))) for i in range(f.n_out())])
+        return self._buffers[n]
 
 
 def _parts(n: int, most: int) -> list[slice]:
