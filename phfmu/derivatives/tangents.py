@@ -17,6 +17,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from math import isqrt
 from typing import Any
 
 import casadi as ca
@@ -86,6 +87,8 @@ TOLD_OF_INSTANT: dict[str, Callable[[Rows], ca.SX]] = {
     "observables": lambda rows: rows.reported,
     "H": lambda rows: rows.energies(0),
 }
+#: up to so many states products of the matrices of steps cost less than a call for each
+FEW = 24
 OF_STEP, OF_INSTANT = tuple(TOLD_OF_STEP), tuple(TOLD_OF_INSTANT)
 #: blocks of a row that follow from others: those of means are told at the instant of the start
 NEEDED = {"a": {"a", "a_end"}, "y_step": {"y_step", "y_end"}, "supplied": {"energy"}}
@@ -187,11 +190,7 @@ class Tangents:
         if self.T.any():  # the first one begins at an instant that moves, and ends at one that does not
             own[0] += np.outer(found.w[0, :, ahead] - found.w[0, :, ahead + 1], self.T)
             told[0] += np.outer(found.told[0, :, ahead] - found.told[0, :, ahead + 1], self.T)
-        before = np.zeros((n + 1, nx, len(self.by.names)))
-        before[0] = self.S
-        by_states, others = np.matmul(self._U, found.w[:, :, :nx]), np.matmul(self._U, own)
-        for i in range(n):
-            before[i + 1] = before[i] + by_states[i] @ before[i] + others[i]
+        before = _followed(self.S, np.matmul(self._U, found.w[:, :, :nx]), np.matmul(self._U, own))
         rows, T = np.matmul(found.told[:, :, :nx], before[:-1]) + told, np.zeros((n, len(self.by.names)))
         if landed:
             h = found.w[-1, :, ahead + 1]
@@ -295,6 +294,35 @@ def require_derived(model: Model) -> None:
             f"{d.name} has redundant constraints ({', '.join(model.hold_names[:3])}), whose multipliers are not unique; "
             "remove them for derivatives (phfmu check names them)"
         )
+
+
+def _followed(S: Array, A: Array, B: Array) -> Array:
+    """S_0 .. S_n with S_(i+1) = S_i + A_i S_i + B_i (n + 1 x nx x names).
+
+    For few states the steps go in stretches side by side, from unknown starts, which are put in afterwards.
+    """
+    n, nx, width = B.shape
+    found = np.empty((n + 1, nx, width))
+    found[0] = S
+    m = isqrt(n) if nx <= FEW else 1
+    sides = n // m if m > 1 else 0
+    if sides:
+        A_of, B_of = (a[: sides * m].reshape(sides, m, nx, -1) for a in (A, B))
+        # of each stretch: [dS_i/dS_start - 1 | S_i from a start at 0]
+        moved = np.zeros((sides, m + 1, nx, nx + width))
+        for i in range(m):
+            moved[:, i + 1] = moved[:, i] + np.matmul(A_of[:, i], moved[:, i])
+            moved[:, i + 1, :, :nx] += A_of[:, i]
+            moved[:, i + 1, :, nx:] += B_of[:, i]
+        starts = np.empty((sides, 1, nx, width))
+        for j in range(sides):
+            starts[j, 0] = S
+            S = S + moved[j, m, :, :nx] @ S + moved[j, m, :, nx:]
+        ends = starts + np.matmul(moved[:, 1:, :, :nx], starts) + moved[:, 1:, :, nx:]
+        found[1 : sides * m + 1] = ends.reshape(-1, nx, width)
+    for i in range(sides * m, n):
+        found[i + 1] = found[i] + A[i] @ found[i] + B[i]
+    return found
 
 
 def _told(what: Mapping[str, Callable[[Rows], ca.SX]], rows: Rows) -> ca.SX:
