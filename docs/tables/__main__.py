@@ -54,6 +54,7 @@ MAKERS = {
         "grid_map",
         "grid_wecc240",
     ),
+    "gradient_peers": ("gradient_peers",),
     "house": ("house",),
     "timings": ("four_particle", "chain_10", "chain_50", "scaling_chain", "scaling_net", "scaling_ladder"),
 }

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from numpy.typing import NDArray
 
 from phfmu.declare.parameter_limits import limits
 from phfmu.derivatives.between import Between
+from phfmu.derivatives.fit_journal import Journal, Kept, digest
 from phfmu.derivatives.measured import TIME
 from phfmu.derivatives.sensitive import SensitiveSteps
 from phfmu.discretise.model import Model
@@ -93,15 +95,20 @@ def fit(
     tries: int = 1,
     loss: str = "linear",
     progress: Callable[[int, float], None] | None = None,
+    resume: str | Path | None = None,
 ) -> Fit:
     """Values of `free` (parameters, start values, held inputs) with which runs come closest to measurements of `measure`.
 
     weights: signal -> standard deviation (default: the largest size of its data);  bounds: name -> least and largest value
     tries: so many starts, drawn around the first, of which the best fit is kept
     loss: of SciPy (linear, soft_l1, huber, cauchy, arctan);  progress: called with the number of runs and the residual
-    Errors: KeyError for names that are none; ValueError for data that do not fit, or a run that cannot be made at the start.
+    resume: file that keeps the runs; those that a fit of the same left there before it was killed are not taken again
+    Errors: KeyError for names that are none; ValueError for data that do not fit, a run that cannot be made at the start, or
+    `resume` of another fit.
     """
     problem = _Problem(model, instance, experiments, free, measure, weights or {})
+    if resume is not None:
+        problem.keep(resume)
     low, high = problem.bounds(bounds or {})
     best, rng = None, np.random.default_rng(0)
     for k in range(max(tries, 1)):
@@ -152,8 +159,10 @@ class _Problem:
         )
         self._weights = self._sizes(weights)
         self._known: tuple[bytes, list[Curves]] | None = None
+        self._journal: Journal | None = None
         self.runs, self._between, self._why = 0, 0, ""
         self._sequences: list[set[Any]] = [set() for _ in experiments]
+        self._last_sequences: list[Any] = [None] * len(experiments)
         self._options = [replace(e.options, signals=self.stepper.columns, audited=False) for e in experiments]
 
     def _sizes(self, given: Mapping[str, float]) -> dict[str, float]:
@@ -222,8 +231,56 @@ class _Problem:
         """The curves of every experiment; those asked for last are not run again."""
         key = theta.tobytes()
         if self._known is None or self._known[0] != key:
+            kept = None if self._journal is None else self._journal.at(theta)
+            if kept is not None:
+                self._known = key, self._taken_before(kept)
+                return self._known[1]
+            self._last_sequences = [None] * len(self.experiments)
             self._known = key, [self._curves(i, theta) for i in range(len(self.experiments))]
+            if self._journal is not None:
+                self._journal.add(theta, self._kept(self._known[1]))
         return self._known[1]
+
+    def keep(self, path: str | Path) -> None:
+        """Runs are kept in a file, and those of the same fit that are there are not taken again."""
+        d, m = self.model.declaration, self.model
+        about = {
+            "model": (m.name, m.scheme.name, m.step.k, [v.name for v in (*d.states, *d.parameters)], m.x0, m.p0, m.u0),
+            "free values": self.free,
+            "measured signals": self.measure,
+            "data or weights": [
+                sorted(self._weights.items()),
+                *((e.data.names, e.data.time, e.data.values) for e in self.experiments),
+            ],
+            "runs": [
+                (sorted(e.values.items()), e.interpolate, o.t0, o.stop, o.step, o.project)
+                + tuple((v.t, v.name, v.value) for v in o.events)
+                + (() if e.inputs is None else (list(e.inputs.names), e.inputs.time, e.inputs.values))
+                for e, o in zip(self.experiments, self._options, strict=True)
+            ],
+        }
+        self._journal = Journal(path, {name: digest(value) for name, value in about.items()})
+
+    def _kept(self, curves: Sequence[Curves]) -> Kept:
+        rows = [np.column_stack([model, slope]) for own in curves for _, _, _, model, slope in own]
+        told = {"sequences": self._last_sequences, "between": self._between, "why": self._why}
+        return Kept(np.vstack(rows), told)
+
+    def _taken_before(self, kept: Kept) -> list[Curves]:
+        """The curves of runs that were taken before the fit was killed."""
+        found, first = list[Curves](), 0
+        self._between, self._why = max(self._between, kept.told["between"]), kept.told["why"]
+        for i, e in enumerate(self.experiments):
+            own: Curves = []
+            for m in (m for m in self.measure if m in e.data.names):
+                there = np.isfinite(e.data.column(m))
+                rows = kept.columns[first : first + int(there.sum())]
+                first += len(rows)
+                own.append((e.data.time[there], m, e.data.column(m)[there], rows[:, 0], rows[:, 1:]))
+            if (sequence := kept.told["sequences"][i]) is not None:
+                self._sequences[i].add(tuple(map(tuple, sequence)))
+            found.append(own)
+        return found
 
     def _curves(self, i: int, theta: Array) -> Curves:
         """Of each measured signal: times, data, the run's values there, and their derivatives."""
@@ -244,6 +301,7 @@ class _Problem:
             ]
         found = []
         self._sequences[i].add(s.sequence)
+        self._last_sequences[i] = s.sequence
         moved = [result.column(derivative_name(TIME, n)) for n in self.free] if self.model.events is not None else None
         for m in measured:
             t = e.data.time[there[m]]

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.derivatives.by import Directions
+from phfmu.engine.build.machine_code import compiled
 from phfmu.plan.buffered import Buffered
 from phfmu.plan.plan import Group, Plan
 
@@ -29,7 +30,11 @@ Array = NDArray[np.float64]
 #: up to so many unknowns the matrices of many points are factored at once, as full ones
 FULL = 160
 #: numbers that are held at a time, at most
-ROOM = 4_000_000
+ROOM = 400_000
+#: points of one call of a mapped function: any number of points is made of these, so that there are few mapped functions
+TOGETHER = (512, 64, 8, 1)
+#: evaluated so often, expressions of so many operations are worth compiling
+OFTEN, LONG = 4_000, 300
 
 
 @dataclass(frozen=True)
@@ -252,24 +257,40 @@ class _Mapped:
     def __init__(self, arguments: list[ca.SX], results: list[ca.SX]):
         self._function = ca.Function("at", arguments, ca.cse([ca.SX(r) for r in results]))
         self._buffers: dict[int, Buffered] = {}
+        self._points, self._worth = 0, self._function.n_instructions() >= LONG
 
     def at(self, at: Point, some: slice) -> list[_Matrices]:
         """The results at some of the points."""
-        f, given = self._function, (at.x, at.w, at.u, at.p, at.h[:, None])
-        n = len(at.h[some])
-        if n not in self._buffers:
-            argument = [np.zeros((n, f.nnz_in(i))) for i in range(f.n_in())]
-            self._buffers[n] = Buffered(f, argument, [np.zeros((n, f.nnz_out(i))) for i in range(f.n_out())])
-        buffer = self._buffers[n]
-        for own, values in zip(buffer.arg, given, strict=True):
-            own[:] = values[some]
-        buffer.call()
-        found = []
-        for i, values in enumerate(buffer.res):
+        given = [a[some] for a in (at.x, at.w, at.u, at.p, at.h[:, None])]
+        self._points += len(given[0])
+        if self._worth and self._points > OFTEN:
+            self._function, self._worth = compiled(self._function), False
+            self._buffers.clear()
+        f = self._function
+        found, done, n = [np.empty((len(given[0]), f.nnz_out(i))) for i in range(f.n_out())], 0, len(given[0])
+        while done < n:
+            size = next(t for t in TOGETHER if t <= n - done)
+            buffer, part = self._buffer(size), slice(done, done + size)
+            for own, values in zip(buffer.arg, given, strict=True):
+                own[:] = values[part]
+            buffer.call()
+            for own, values in zip(found, buffer.res, strict=True):
+                own[part] = values
+            done += size
+        matrices = []
+        for i, values in enumerate(found):
             sparsity = f.sparsity_out(i)
             row, col = (np.array(t, np.intp) for t in sparsity.get_triplet())
-            found.append(_Matrices(sparsity.shape, row, col, values.copy()))
-        return found
+            matrices.append(_Matrices(sparsity.shape, row, col, values))
+        return matrices
+
+    def _buffer(self, n: int) -> Buffered:
+        """The function mapped over n points."""
+        if n not in self._buffers:
+            f = self._function
+            argument = [np.zeros((n, f.nnz_in(i))) for i in range(f.n_in())]
+            self._buffers[n] = Buffered(f, argument, [np.zeros((n, f.nnz_out(i))) for i in range(f.n_out())])
+        return self._buffers[n]
 
 
 def _parts(n: int, most: int) -> list[slice]:
@@ -285,6 +306,10 @@ def _solved(A: _Matrices, b: Array) -> Array:
     full = A.full()
     scale = 1.0 / np.maximum(np.abs(full).max(axis=2, keepdims=True), 1e-300)
     full, b = full * scale, b * scale
+    if 2 * b.shape[2] >= A.shape[0]:  # one factorisation costs less than another pass over so many columns
+        inverse = np.linalg.inv(full)
+        found = np.matmul(inverse, b)
+        return found + np.matmul(inverse, b - np.matmul(full, found))
     found = np.linalg.solve(full, b)
     return found + np.linalg.solve(full, b - np.matmul(full, found))
 

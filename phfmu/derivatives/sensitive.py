@@ -31,7 +31,7 @@ class SensitiveSteps(DerivedSteps):
         super().__init__(model, instance, by)
         known = {q.name: q for q in quantities(model)}
         self.derived: list[Quantity] = [known[n] for n in self.names if signals is None or n in signals]
-        self._tangents = Tangents(model, self.by)
+        self._tangents = Tangents(model, self.by, {q.block for q in self.derived})
         #: the times of rows move at state events
         self._times = [] if model.events is None else [derivative_name(TIME, n) for n in self.by.names]
         own = [derivative_name(q.name, n) for q in self.derived for n in self.by.names]

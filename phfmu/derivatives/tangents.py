@@ -14,8 +14,10 @@ Source: implicit function theorem on the step; docs/understand/derivatives.md.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
+from math import isqrt
 from typing import Any
 
 import casadi as ca
@@ -73,18 +75,42 @@ def in_parts(model: Model, t: float, h: float) -> ValueError:
 
 
 #: what is told of a step and at an instant, by the block of a row, each one after the other
-OF_STEP, OF_INSTANT = ("a", "y_step", "energy", "dissipated"), ("a_end", "y_end", "observables", "H")
+TOLD_OF_STEP: dict[str, Callable[[Rows], ca.SX]] = {
+    "a": lambda rows: rows.algebraics,
+    "y_step": lambda rows: rows.outputs,
+    "energy": lambda rows: rows.work,
+    "dissipated": lambda rows: rows.h * rows.energies(1),
+}
+TOLD_OF_INSTANT: dict[str, Callable[[Rows], ca.SX]] = {
+    "a_end": lambda rows: rows.algebraics,
+    "y_end": lambda rows: rows.outputs,
+    "observables": lambda rows: rows.reported,
+    "H": lambda rows: rows.energies(0),
+}
+#: up to so many states products of the matrices of steps cost less than a call for each
+FEW = 24
+OF_STEP, OF_INSTANT = tuple(TOLD_OF_STEP), tuple(TOLD_OF_INSTANT)
+#: blocks of a row that follow from others: those of means are told at the instant of the start
+NEEDED = {"a": {"a", "a_end"}, "y_step": {"y_step", "y_end"}, "supplied": {"energy"}}
 
 
 class Tangents:
-    """The tangents of a run of `model`, from its start on; ValueError names what has none."""
+    """The tangents of a run of `model`, from its start on; ValueError names what has none.
 
-    def __init__(self, model: Model, by: By):
+    `blocks`: the blocks of rows whose derivatives are told beside those of the states; default: all
+    """
+
+    def __init__(self, model: Model, by: By, blocks: Iterable[str] | None = None):
         require_derived(model)
         self.model, self.by = model, by
         self._plans: dict[int, tuple[PlanFunction, PlanFunction]] = {}
+        wanted = {*OF_STEP, *OF_INSTANT} if blocks is None else {n for b in blocks for n in NEEDED.get(b, {b})}
+        self._told_of_step, self._told_of_instant = (
+            {name: told for name, told in every.items() if name in wanted} for every in (TOLD_OF_STEP, TOLD_OF_INSTANT)
+        )
         step = model.step
-        self._of_step = places(OF_STEP, (step.na, step.nq, step.nq, step.ncomp))
+        sizes = dict(zip(OF_STEP, (step.na, step.nq, step.nq, step.ncomp), strict=True))
+        self._of_step = places(list(self._told_of_step), [sizes[name] for name in self._told_of_step])
         self.enter(model, None if model.events is None else EventMaps(model, model.events, by.directions))
         self.reset()
 
@@ -93,14 +119,15 @@ class Tangents:
         if id(model) not in self._plans:
             about = self.by.directions, events is not None
             self._plans[id(model)] = (
-                PlanFunction(model.step, _told_of_step, *about),
-                PlanFunction(model.instant, _told_of_instant, *about),
+                PlanFunction(model.step, partial(_told, self._told_of_step), *about),
+                PlanFunction(model.instant, partial(_told, self._told_of_instant), *about),
             )
         (self._step, self._instant), self.model, self.events = self._plans[id(model)], model, events
         step, instant = model.step, model.instant
         self._U = np.zeros((step.nx, step.nw))
         np.add.at(self._U, (step.update_x, step.update_w), step.update_c)
-        self._of_instant = places(OF_INSTANT, (instant.na, instant.nq, instant.nobs, instant.ncomp))
+        sizes = dict(zip(OF_INSTANT, (instant.na, instant.nq, instant.nobs, instant.ncomp), strict=True))
+        self._of_instant = places(list(self._told_of_instant), [sizes[name] for name in self._told_of_instant])
 
     def reset(self) -> None:
         """Before the start."""
@@ -110,7 +137,8 @@ class Tangents:
         self.S = np.zeros((step.nx, n))
         #: of the present time, which moves at events, and of the sizes of what it follows from
         self.T, self._sizes = np.zeros(n), np.ones(n)
-        self._sums = {"energy": np.zeros((step.nq, n)), "dissipated": np.zeros((step.ncomp, n))}
+        sizes = {"energy": step.nq, "dissipated": step.ncomp}
+        self._sums = {name: np.zeros((size, n)) for name, size in sizes.items() if name in self._of_step}
 
     def cut(self, names: Sequence[str]) -> None:
         """Values of parameters or inputs that are set from now on do not follow those of the start."""
@@ -129,7 +157,7 @@ class Tangents:
         """Blocks of a row of which all values are those at its instant."""
         found = self._at_instants((np.array([t]), x[None], u[None], p, a_end[None]), self.S[None], self.T[None])
         blocks = {"x": self.S[None].copy(), "t": self.T[None, None].copy(), **found}
-        blocks |= {"a": found["a_end"], "y_step": found["y_end"]}
+        blocks |= {of: found[at] for of, at in (("a", "a_end"), ("y_step", "y_end")) if at in found}
         return self._with_sums(blocks, {n: s[None] for n, s in self._sums.items()})
 
     def jump(self, before: Instant, fired: Sequence[int], rests: Sequence[int]) -> None:
@@ -159,21 +187,17 @@ class Tangents:
         found = self._step.response(Point(x, steps.w, steps.u, p, steps.h))
         own = self.by.spread(found.w[:, :, nx:ahead]) * self._acts
         told = self.by.spread(found.told[:, :, nx:ahead]) * self._acts
-        S, rows = np.zeros((n, nx, len(self.by.names))), np.zeros((n, *told.shape[1:]))
-        T = np.zeros((n, len(self.by.names)))
-        for i in range(n):
-            rows[i] = found.told[i, :, :nx] @ self.S + told[i]
-            w = found.w[i, :, :nx] @ self.S + own[i]
-            if self.T.any():  # it begins at an instant that moves, and ends at one that does not
-                w += np.outer(found.w[i, :, ahead] - found.w[i, :, ahead + 1], self.T)
-                rows[i] += np.outer(found.told[i, :, ahead] - found.told[i, :, ahead + 1], self.T)
-            if landed and i == n - 1:
-                h = found.w[i, :, ahead + 1]
-                T[i] = self._landed(landed, steps, grid, self.S + self._U @ w, self._U @ h)
-                w += np.outer(h, T[i])
-                rows[i] += np.outer(found.told[i, :, ahead + 1], T[i])
-            self.S, self.T = self.S + self._U @ w, T[i]
-            S[i] = self.S
+        if self.T.any():  # the first one begins at an instant that moves, and ends at one that does not
+            own[0] += np.outer(found.w[0, :, ahead] - found.w[0, :, ahead + 1], self.T)
+            told[0] += np.outer(found.told[0, :, ahead] - found.told[0, :, ahead + 1], self.T)
+        before = _followed(self.S, np.matmul(self._U, found.w[:, :, :nx]), np.matmul(self._U, own))
+        rows, T = np.matmul(found.told[:, :, :nx], before[:-1]) + told, np.zeros((n, len(self.by.names)))
+        if landed:
+            h = found.w[-1, :, ahead + 1]
+            T[-1] = self._landed(landed, steps, grid, before[-1], self._U @ h)
+            before[-1] += np.outer(self._U @ h, T[-1])
+            rows[-1] += np.outer(found.told[-1, :, ahead + 1], T[-1])
+        S, self.S, self.T = before[1:], before[-1].copy(), T[-1]
         blocks = {name: rows[:, place] for name, place in self._of_step.items()}
         nu = model.step.nu
         u = steps.u.reshape(n, model.step.k, nu)
@@ -207,15 +231,19 @@ class Tangents:
 
     def _with_sums(self, blocks: dict[str, Array], sums: dict[str, Array]) -> dict[str, Array]:
         """Energies since the start: through pairs, lost, and supplied by component."""
-        plan, (n, _, width) = self.model.step, sums["energy"].shape
+        plan, (n, _, width) = self.model.step, blocks["x"].shape
+        nothing = {name: np.zeros((n, plan.ncomp, width)) for name in ("residual", "gap")}
+        if "energy" not in sums:
+            return blocks | sums | nothing
         supplied = np.zeros((n, plan.ncomp, width))
         for pair, owner in enumerate(plan.pair_owner):
             supplied[:, owner] += sums["energy"][:, pair]
-        nothing = {name: np.zeros((n, plan.ncomp, width)) for name in ("residual", "gap")}
         return blocks | sums | {"supplied": supplied} | nothing
 
     def _at_instants(self, point: tuple[Array, Array, Array, Array, Array], S: Array, T: Array) -> dict[str, Array]:
         """Blocks at instants (t, x, u, p, algebraic variables) with tangents S (n x nx x names) of the states, T of the times."""
+        if not self._of_instant:
+            return {}
         t, x, u, p, a = point
         plan, n = self.model.instant, len(t)
         w = np.zeros((n, plan.nw))
@@ -268,12 +296,37 @@ def require_derived(model: Model) -> None:
         )
 
 
-def _told_of_step(rows: Rows) -> ca.SX:
-    return ca.vertcat(rows.algebraics, rows.outputs, rows.work, rows.h * rows.energies(1))
+def _followed(S: Array, A: Array, B: Array) -> Array:
+    """S_0 .. S_n with S_(i+1) = S_i + A_i S_i + B_i (n + 1 x nx x names).
+
+    For few states the steps go in stretches side by side, from unknown starts, which are put in afterwards.
+    """
+    n, nx, width = B.shape
+    found = np.empty((n + 1, nx, width))
+    found[0] = S
+    m = isqrt(n) if nx <= FEW else 1
+    sides = n // m if m > 1 else 0
+    if sides:
+        A_of, B_of = (a[: sides * m].reshape(sides, m, nx, -1) for a in (A, B))
+        # of each stretch: [dS_i/dS_start - 1 | S_i from a start at 0]
+        moved = np.zeros((sides, m + 1, nx, nx + width))
+        for i in range(m):
+            moved[:, i + 1] = moved[:, i] + np.matmul(A_of[:, i], moved[:, i])
+            moved[:, i + 1, :, :nx] += A_of[:, i]
+            moved[:, i + 1, :, nx:] += B_of[:, i]
+        starts = np.empty((sides, 1, nx, width))
+        for j in range(sides):
+            starts[j, 0] = S
+            S = S + moved[j, m, :, :nx] @ S + moved[j, m, :, nx:]
+        ends = starts + np.matmul(moved[:, 1:, :, :nx], starts) + moved[:, 1:, :, nx:]
+        found[1 : sides * m + 1] = ends.reshape(-1, nx, width)
+    for i in range(sides * m, n):
+        found[i + 1] = found[i] + A[i] @ found[i] + B[i]
+    return found
 
 
-def _told_of_instant(rows: Rows) -> ca.SX:
-    return ca.vertcat(rows.algebraics, rows.outputs, rows.reported, rows.energies(0))
+def _told(what: Mapping[str, Callable[[Rows], ca.SX]], rows: Rows) -> ca.SX:
+    return ca.vertcat(ca.SX(0, 1), *(told(rows) for told in what.values()))
 
 
 def places(names: Sequence[str], sizes: Sequence[int]) -> dict[str, slice]:

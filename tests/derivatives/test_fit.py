@@ -179,3 +179,62 @@ def test_the_command_takes_more_experiments(tmp_path: Path, capsys: pytest.Captu
     assert "from 804 measurements" in capsys.readouterr().out
     found = json.loads((tmp_path / "f.json").read_text())
     assert found["values"]["k"] == pytest.approx(0.05, rel=5e-3) and found["residual"] == pytest.approx(NOISE, rel=0.3)
+
+
+class Killed(Exception):
+    """The end of a fit."""
+
+
+def killed(after: int, **more: Any) -> Any:
+    """A fit of three tries that ends before its runs are more than these."""
+
+    def progress(runs: int, residual: float) -> None:
+        if runs > after:
+            raise Killed
+
+    return fitted([measured(11)], {"R": 0.6, "L": 1.4e-3}, ["R", "L", "k"], tries=3, progress=progress, **more)
+
+
+@pytest.mark.parametrize("after", [1, 6, 14])
+def test_a_fit_that_was_killed_goes_on(after: int, tmp_path: Path) -> None:
+    """Runs that were taken are not taken again, also where the last one was half written; the result is that of one fit."""
+    file = tmp_path / "fit.runs"
+    whole = killed(1000)
+    with pytest.raises(Killed):
+        killed(after, resume=file)
+    with open(file, "r+b") as half:
+        half.truncate(file.stat().st_size - 100)
+    found = killed(1000, resume=file)
+    assert found.runs <= whole.runs - after + 3  # rounding of derivatives may add or save a last iteration
+    for name, value in whole.values.items():
+        assert found.values[name] == pytest.approx(value, rel=1e-7)
+        assert found.errors[name] == pytest.approx(whole.errors[name], rel=1e-6)
+    again = killed(1000, resume=file)
+    assert again.runs == 0 and again.values == found.values and again.errors == found.errors
+    assert again.sequences == found.sequences and again.between == found.between
+
+
+def test_the_file_of_another_fit_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "fit.runs"
+    with pytest.raises(Killed):
+        killed(1, resume=file)
+    with pytest.raises(ValueError, match="is of another fit: other data or weights;"):
+        fitted([measured(12)], {"R": 0.6, "L": 1.4e-3}, ["R", "L", "k"], resume=file)
+    with pytest.raises(ValueError, match="other free values"):
+        fitted([measured(11)], {"R": 0.6, "L": 1.4e-3}, ["R", "L"], resume=file)
+    file.write_text("time,terminal.i\n")
+    with pytest.raises(ValueError, match="is not the file of a fit"):
+        killed(1, resume=file)
+
+
+def test_the_command_goes_on(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    data, runs = measured(7).save(tmp_path / "data.csv"), tmp_path / "fit.runs"
+    words = ["fit", "dc_motor", str(data), "--free", "R,L", "--measure", "terminal.i", "--set", "terminal.v=12"]
+    words += ["--set", "R=0.5", "--step", str(STEP), "--resume", str(runs)]
+    assert main(words) == 0
+    first = capsys.readouterr().out
+    assert main(words) == 0
+    again = capsys.readouterr().out
+    assert ", 0 runs" in again and first.splitlines()[1:] == again.splitlines()[1:]
+    assert main([w.replace("R=0.5", "R=0.7") for w in words]) == 2
+    assert "is of another fit: other model" in capsys.readouterr().err

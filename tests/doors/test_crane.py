@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from phfmu import Collocated, NativeInstance, StepFunction, build_model
+from phfmu import Collocated, Event, NativeInstance, Options, StepFunction, build_model, run
+from phfmu.network.couplings.monolithic import Monolithic
 from tests.doors.crane import crane, moved
 
 pytestmark = pytest.mark.usefixtures("compiler")
@@ -30,6 +31,18 @@ def test_few_iterations_and_the_run_arrives(step: StepFunction) -> None:
     assert abs(r["x"][-1] - [way, 0, 0, 0]).max() < 1e-6
     assert abs(r["supplied"].sum()) < 1e-6 * np.abs(r["supplied"]).sum()  # nothing is lost, and it rests again
     assert np.abs(states[1]).max() > 0.2  # far from what is linear
+
+
+def test_a_run_at_the_optimum_has_its_cost(step: StepFunction) -> None:
+    """The forces as events of a run of its own, whose rows tell them and where the load is."""
+    u, _, opti = moved(step, 5.0, N)
+    stepper = Monolithic(step.model, NativeInstance(step.model))
+    events = [Event(k * H, "trolley.force", float(force)) for k, force in enumerate(u)]
+    result = run(stepper, Options(stop=N * H, step=H, events=events))
+    forces = result.column("trolley.force")[1:] if len(result.time) == N + 1 else np.zeros(0)
+    assert H * np.sum(forces**2) == pytest.approx(opti.value(opti.f) * N * H * (300.0 * 5.0) ** 2, rel=1e-8)
+    end = [result.column(name)[-1] for name in ("x", "angle", "p", "L")]
+    assert np.abs(np.array(end) - [5.0, 0.0, 0.0, 0.0]).max() < 1e-6
 
 
 def test_the_matrix_is_sparse(step: StepFunction) -> None:

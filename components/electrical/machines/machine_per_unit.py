@@ -43,16 +43,16 @@ BESIDE = ("ra", "xl", "x0", "xq2", "D")
 class EquivalentCircuit:
     """Both axes of a machine: ra, xl, x0 of the stator, xad and xaq, and a branch (r, x) for each rotor winding.
 
-    All are in per unit, or all in ohm and H where `from_inductances` makes it; `d` begins with the field.
+    All are in per unit, or all in ohm and H where `from_inductances` makes it, numbers or expressions; `d` begins with the field.
     """
 
-    ra: float
-    xl: float
-    x0: float
-    xad: float
-    xaq: float
-    d: tuple[Branch, ...]
-    q: tuple[Branch, ...]
+    ra: Any
+    xl: Any
+    x0: Any
+    xad: Any
+    xaq: Any
+    d: tuple[tuple[Any, Any], ...]
+    q: tuple[tuple[Any, Any], ...]
 
 
 def from_per_unit(
@@ -155,8 +155,7 @@ def reactances(machine: str | Mapping[str, Any] | MachineData) -> dict[str, floa
     for row, axis in enumerate("dq"):
         found, windings = out, m.on_axis(axis)
         found[f"x{axis}"] = L[row, row] * w / base
-        orders = (2,) if axis == "q" and len(windings) == 1 and len(m.on_axis("d")) > 1 else (1, 2)
-        for n, order in enumerate(orders[: len(windings)]):
+        for n, order in enumerate(orders(m, axis)):
             inner = [3 + j for j in windings[: n + 1]]
             own, others = inner[-1], inner[:-1]
             closed = L[row, row] - L[row, inner] @ np.linalg.solve(L[np.ix_(inner, inner)], L[inner, row])
@@ -165,6 +164,12 @@ def reactances(machine: str | Mapping[str, Any] | MachineData) -> dict[str, floa
             R = m.R_rotor[windings[n]]
             found[f"T{axis}{order}0"] = float(alone) / R if R else float("inf")
     return out
+
+
+def orders(m: MachineData, axis: str) -> tuple[int, ...]:
+    """What the first and the second winding of an axis bring: 1 transient, 2 subtransient values."""
+    n = len(m.on_axis(axis))
+    return (2,) if axis == "q" and n == 1 and len(m.on_axis("d")) > 1 else (1, 2)[:n]
 
 
 def _entries(
@@ -250,52 +255,79 @@ def _circuit(name: str, model: str, v: Mapping[str, float], omega: float) -> Equ
         xa = v["xd1"] - xl
         return EquivalentCircuit(v.get("ra", 0.0), xl, v.get("x0", xl), 2.0 * xa, xa, ((0.0, 2.0 * xa),), ())
     xl, subtransient = v["xl"], v.get("xq2", v["xd2"])
-    d = _axis(name, "d", xl, v["xd"], [(v["xd1"], v["Td10"]), (v["xd2"], v["Td20"])], omega)
+    d = _lowered(name, "d", v["xd"], [(v["xd1"], v["Td10"]), (v["xd2"], v["Td20"])])
     steps = [(subtransient, v["Tq20"])]
     if model == "GENROU":
         steps.insert(0, (v["xq1"], v["Tq10"]))
-    q = _axis(name, "q", xl, v["xq"], steps, omega)
-    return EquivalentCircuit(v.get("ra", 0.0), xl, v.get("x0", xl), v["xd"] - xl, v["xq"] - xl, d, q)
+    q = _lowered(name, "q", v["xq"], steps)
+    return EquivalentCircuit(
+        v.get("ra", 0.0), xl, v.get("x0", xl), v["xd"] - xl, v["xq"] - xl,
+        branches(xl, v["xd"], d, omega), branches(xl, v["xq"], q, omega),
+    )  # fmt: skip
 
 
-def _axis(
-    name: str, axis: str, xl: float, x: float, steps: Sequence[tuple[float, float]], omega: float
-) -> tuple[Branch, ...]:
-    """The rotor windings of an axis: each lowers the reactance to the next value with its time constant."""
-    out: list[Branch] = []
+def _lowered(name: str, axis: str, x: float, steps: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
+    """The values and time constants of an axis without those that its windings give no room."""
+    out = []
     for lower, time in steps:
         if lower == x:
             text = f"machine '{name}': the {axis} axis has {x:g} pu twice among its reactances; the winding between is left out"
             warnings.warn(text, stacklevel=4)
             continue
+        out.append((lower, time))
+        x = lower
+    return out
+
+
+def branches(xl: Any, x: Any, steps: Sequence[tuple[Any, Any]], omega: float) -> tuple[tuple[Any, Any], ...]:
+    """The rotor windings (r, x) of an axis: each lowers the reactance x to the next value of `steps` with its time constant.
+
+    Reactances in per unit, time constants in s, all of them numbers or expressions.
+    """
+    out = []
+    for lower, time in steps:
         leakage = (x - xl) * (lower - xl) / (x - lower)
         out.append(((x - xl + leakage) / (omega * time), leakage))
         x = lower
     return tuple(out)
 
 
-def _machine(
-    name: str, c: EquivalentCircuit, Z: float, omega: float, no_load: float | None, **ratings: Any
-) -> MachineData:
-    """The set of a circuit; Z [ohm]: base of its resistances, Z/omega [H]: of its inductances."""
+@dataclass(frozen=True)
+class Referred:
+    """Rotor windings in turns of their own: peak mutual inductances M [H], R [ohm], L(i, j) [H]; numbers or expressions."""
+
+    M: list[Any]
+    R: list[Any]
+    L: list[list[Any]]
+
+
+def referred(c: EquivalentCircuit, k: Sequence[Any], Z: float, omega: float) -> Referred:
+    """The rotor windings of a circuit with the turns `k` in those of a phase; Z [ohm]: base of its resistances."""
     Lb, windings = Z / omega, [*(("d", *b) for b in c.d), *(("q", *b) for b in c.q)]
-    k = [DAMPER_TURNS] * len(windings)
-    if no_load is not None and windings:
-        rated = sqrt(2.0 / 3.0) * ratings["Vn_rms_ll"] / (2.0 * pi * ratings["fn"])  # peak flux of a phase
-        k[0] = c.xad * Lb * no_load / rated
     mutual = {"d": c.xad, "q": c.xaq}
-    rotor = [
+    L = [
         [
             1.5 * (mutual[a] + (x if i == j else 0.0)) * Lb / (k[i] * k[j]) if a == b else 0.0
             for j, (b, _, _) in enumerate(windings)
         ]
         for i, (a, _, x) in enumerate(windings)
     ]
+    R = [1.5 * r * Z / k[i] ** 2 for i, (_, r, _) in enumerate(windings)]
+    return Referred([mutual[a] * Lb / k[i] for i, (a, _, _) in enumerate(windings)], R, L)
+
+
+def _machine(
+    name: str, c: EquivalentCircuit, Z: float, omega: float, no_load: float | None, **ratings: Any
+) -> MachineData:
+    """The set of a circuit; Z [ohm]: base of its resistances, Z/omega [H]: of its inductances."""
+    Lb, axis = Z / omega, [*("d" for _ in c.d), *("q" for _ in c.q)]
+    k = [DAMPER_TURNS] * len(axis)
+    if no_load is not None and axis:
+        rated = sqrt(2.0 / 3.0) * ratings["Vn_rms_ll"] / (2.0 * pi * ratings["fn"])  # peak flux of a phase
+        k[0] = c.xad * Lb * no_load / rated
+    rotor = referred(c, k, Z, omega)
     return machine_set({
-        "name": name, **ratings, "Ra": c.ra * Z,
-        "axis": [a for a, _, _ in windings],
-        "R_rotor": [1.5 * r * Z / k[i] ** 2 for i, (_, r, _) in enumerate(windings)],
+        "name": name, **ratings, "Ra": c.ra * Z, "axis": axis, "R_rotor": rotor.R,
         "Ll": c.xl * Lb, "Ld": (c.xl + c.xad) * Lb, "Lq": (c.xl + c.xaq) * Lb, "L0": c.x0 * Lb,
-        "M_stator_rotor": [mutual[a] * Lb / k[i] for i, (a, _, _) in enumerate(windings)],
-        "L_rotor": rotor,
+        "M_stator_rotor": rotor.M, "L_rotor": rotor.L,
     })  # fmt: skip

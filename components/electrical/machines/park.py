@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import cos, sin
+from typing import Any
 
 import casadi as ca
 
@@ -30,40 +31,34 @@ def park_matrix(theta: ca.SX) -> ca.SX:
 
 @dataclass(frozen=True)
 class Inductances:
-    """Inductances of a machine as parameters, named Ld, Lq, L0, M_f, .., L_ff, L_fkd, ..
+    """Inductances of a machine in H, as expressions of parameters.
 
-    M: with each rotor winding; rotor: (i, j) -> L_ij of two windings on one axis, i <= j.  `line`: inductance per phase
+    M: with each rotor winding;  rotor: (i, j) -> L_ij of two windings on one axis, i <= j;  `line`: inductance per phase
     in series with the stator; it adds to Ld, Lq and L0, because it is the same in all frames.  With saturation `leakage` is
     Ll, `curve` the no-load curve and `rated` [Wb] the main flux of its 1 in orthonormal coordinates.
     """
 
-    Ld: Variable
-    Lq: Variable
-    L0: Variable
-    M: tuple[Variable, ...]
-    rotor: dict[tuple[int, int], Variable]
+    Ld: ca.SX
+    Lq: ca.SX
+    L0: ca.SX
+    M: tuple[ca.SX, ...]
+    rotor: dict[tuple[int, int], ca.SX]
     axis: tuple[str, ...]
-    line: Variable | None = None
-    leakage: Variable | None = None
+    line: ca.SX | None = None
+    leakage: ca.SX | None = None
     curve: Curve | None = None
     rated: float = 1.0
 
     @property
-    def parameters(self) -> tuple[Variable, ...]:
-        iron = () if self.curve is None or self.leakage is None else (self.leakage, *self.curve.parameters)
-        series = () if self.line is None else (self.line,)
-        return (self.Ld, self.Lq, self.L0, *self.M, *self.rotor.values(), *series, *iron)
-
-    @property
     def stator(self) -> tuple[ca.SX, ca.SX, ca.SX]:
         """Inductances d, q, 0 of the stator with what is in series."""
-        line = ca.SX(0) if self.line is None else self.line.sx
+        line = ca.SX(0) if self.line is None else self.line
         return self.Ld + line, self.Lq + line, self.L0 + line
 
     def rotor_entry(self, i: int, j: int) -> ca.SX:
         """L_ij of rotor windings i and j; 0 across the axes."""
         v = self.rotor.get((min(i, j), max(i, j)))
-        return ca.SX(0) if v is None else v.sx
+        return ca.SX(0) if v is None else v
 
     def axis_block(self, axis: str) -> tuple[list[int], ca.SX]:
         """Positions in (d, q, 0, rotor) of the windings on `axis` and their inductance matrix."""
@@ -71,42 +66,70 @@ class Inductances:
         L = ca.SX(1 + len(rotor), 1 + len(rotor))
         L[0, 0] = self.stator[0 if axis == "d" else 1]
         for a, i in enumerate(rotor):
-            L[0, 1 + a] = L[1 + a, 0] = COUPLING * self.M[i].sx
+            L[0, 1 + a] = L[1 + a, 0] = COUPLING * self.M[i]
             for b, j in enumerate(rotor):
                 L[1 + a, 1 + b] = self.rotor_entry(i, j)
         return [0 if axis == "d" else 1, *(3 + j for j in rotor)], L
 
 
-def inductances(data: MachineData, line: Variable | None = None) -> Inductances:
-    """Parameters with the values of `data`; `line`: inductance in series with the stator."""
+@dataclass(frozen=True)
+class Windings:
+    """Stator resistance Ra and resistances R of the rotor windings [ohm], inductances: expressions of `parameters`."""
+
+    Ra: ca.SX
+    R: tuple[ca.SX, ...]
+    L: Inductances
+    parameters: tuple[Variable, ...]
+
+
+def circuit_windings(data: MachineData, line: Variable | None = None) -> Windings:
+    """Parameters Ra, R_f, .., Ld, Lq, L0, M_f, .., L_ff, .. with the values of `data`; `line`: inductance in series."""
     names = data.windings
-    same = [(i, j) for i in range(len(names)) for j in range(i, len(names)) if data.axis[i] == data.axis[j]]
-    return Inductances(
-        parameter("Ld", data.Ld, unit="H", positive=True, description="synchronous inductance, d axis"),
-        parameter("Lq", data.Lq, unit="H", positive=True, description="synchronous inductance, q axis"),
-        parameter("L0", data.L0, unit="H", positive=True, description="zero-sequence inductance"),
-        tuple(
-            parameter(f"M_{n}", m, unit="H", description=f"peak mutual inductance of a phase with winding {n}")
-            for n, m in zip(names, data.M_stator_rotor, strict=True)
-        ),
-        {
-            (i, j): parameter(
-                f"L_{names[i]}{names[j]}", data.L_rotor[i][j], unit="H", positive=i == j, description="rotor inductance"
-            )
-            for i, j in same
-        },
-        data.axis,
-        line,
-        *_iron(data),
-    )
+    Ra = parameter("Ra", data.Ra, unit="ohm", min=0.0, description="stator resistance")
+    R = [
+        parameter(f"R_{n}", r, unit="ohm", description=f"resistance of winding {n}")
+        for n, r in zip(names, data.R_rotor, strict=True)
+    ]
+    Ld = parameter("Ld", data.Ld, unit="H", positive=True, description="synchronous inductance, d axis")
+    Lq = parameter("Lq", data.Lq, unit="H", positive=True, description="synchronous inductance, q axis")
+    L0 = parameter("L0", data.L0, unit="H", positive=True, description="zero-sequence inductance")
+    M = [
+        parameter(f"M_{n}", m, unit="H", description=f"peak mutual inductance of a phase with winding {n}")
+        for n, m in zip(names, data.M_stator_rotor, strict=True)
+    ]
+    rotor = {
+        (i, j): parameter(
+            f"L_{names[i]}{names[j]}", data.L_rotor[i][j], unit="H", positive=i == j, description="rotor inductance"
+        )
+        for i, j in rotor_pairs(data)
+    }
+    leakage = None
+    if data.saturation is not None and data.Ll is not None:
+        leakage = parameter("Ll", data.Ll, unit="H", positive=True, description="leakage inductance of the stator")
+    expressions = {
+        "Ld": Ld.sx, "Lq": Lq.sx, "L0": L0.sx, "M": tuple(m.sx for m in M), "rotor": {k: v.sx for k, v in rotor.items()},
+        "leakage": None if leakage is None else leakage.sx,
+    }  # fmt: skip
+    L, iron = inductances(data, line, **expressions)
+    own = (Ra, *R, Ld, Lq, L0, *M, *rotor.values(), *(() if line is None else (line,)))
+    return Windings(Ra.sx, tuple(r.sx for r in R), L, (*own, *(() if leakage is None else (leakage, *iron))))
 
 
-def _iron(data: MachineData) -> tuple[Variable | None, Curve | None, float]:
-    """Leakage, no-load curve and rated main flux of a machine that saturates."""
-    if data.saturation is None or data.Ll is None:
-        return None, None, 1.0
-    leakage = parameter("Ll", data.Ll, unit="H", positive=True, description="leakage inductance of the stator")
-    return leakage, data.saturation.curve(), data.Vn_rms_ll / data.omega
+def rotor_pairs(data: MachineData) -> list[tuple[int, int]]:
+    """Rotor windings i <= j on one axis."""
+    n = len(data.axis)
+    return [(i, j) for i in range(n) for j in range(i, n) if data.axis[i] == data.axis[j]]
+
+
+def inductances(
+    data: MachineData, line: Variable | None, *, leakage: ca.SX | None, **own: Any
+) -> tuple[Inductances, tuple[Variable, ...]]:
+    """Expressions Ld, Lq, L0, M, rotor with what is in series and the iron of `data`; parameters of its curve."""
+    series = None if line is None else line.sx
+    if data.saturation is None:
+        return Inductances(axis=data.axis, line=series, **own), ()
+    curve, rated = data.saturation.curve(), data.Vn_rms_ll / data.omega
+    return Inductances(axis=data.axis, line=series, leakage=leakage, curve=curve, rated=rated, **own), curve.parameters
 
 
 def magnetic_energy(flux: ca.SX, L: Inductances) -> ca.SX:
@@ -142,11 +165,11 @@ def main_flux(flux: ca.SX, L: Inductances) -> tuple[list[ca.SX], list[ca.SX], ca
     """
     assert L.leakage is not None
     mu, stiffness = [], []
-    Lmd = L.Ld - L.leakage.sx
+    Lmd = L.Ld - L.leakage
     for axis in ("d", "q"):
         where, block = L.axis_block(axis)
-        Lm = (L.Ld if axis == "d" else L.Lq) - L.leakage.sx
-        turns = [ca.SX(1), *(COUPLING * L.M[i - 3].sx / Lm for i in where[1:])]
+        Lm = (L.Ld if axis == "d" else L.Lq) - L.leakage
+        turns = [ca.SX(1), *(COUPLING * L.M[i - 3] / Lm for i in where[1:])]
         leakages = ca.SX(block)
         for i, a in enumerate(turns):
             for j, b in enumerate(turns):
@@ -180,10 +203,10 @@ def phase_inductance(theta: ca.SX, L: Inductances) -> tuple[ca.SX, ca.SX, ca.SX]
             constant[i, j] = mean - mutual if i == j else -mutual
             second[i, j] = saliency * ca.cos(2 * theta - a - b)
         for j, axis in enumerate(L.axis):
-            m = L.M[j].sx * (ca.cos(theta - a) if axis == "d" else -ca.sin(theta - a))
+            m = L.M[j] * (ca.cos(theta - a) if axis == "d" else -ca.sin(theta - a))
             first[i, 3 + j] = first[3 + j, i] = m
     for (i, j), v in L.rotor.items():
-        constant[3 + i, 3 + j] = constant[3 + j, 3 + i] = v.sx
+        constant[3 + i, 3 + j] = constant[3 + j, 3 + i] = v
     return constant, first, second
 
 

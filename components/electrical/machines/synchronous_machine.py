@@ -27,10 +27,10 @@ from phfmu import (
 from phfmu.components.electrical.machines.machine_data import MachineData, MachineDataError, machine_set
 from phfmu.components.electrical.machines.machine_init import OperatingPoint, operating_point, steady_state
 from phfmu.components.electrical.machines.main_flux import Saturation
+from phfmu.components.electrical.machines.operational import operational_windings
 from phfmu.components.electrical.machines.park import (
     ROTATING,
-    Inductances,
-    inductances,
+    circuit_windings,
     magnetic_energy,
     park_matrix,
     phase_inductance,
@@ -40,12 +40,16 @@ from phfmu.components.electrical.machines.park import (
 from phfmu.components.electrical.phases import PHASES
 
 Coordinates = Literal["dq-flux", "abc-flux", "current"]
+Parameters = Literal["circuit", "operational"]
+#: what the windings of a machine are told by
+WINDINGS = {"circuit": circuit_windings, "operational": operational_windings}
 
 
 def synchronous_machine(
     machine: str | Mapping[str, Any] | MachineData = "kundur555_1q",
     *,
     coordinates: Coordinates = "dq-flux",
+    parameters: Parameters = "circuit",
     start: OperatingPoint | None = None,
     saturation: Saturation | None = None,
 ) -> PHDAE:
@@ -62,7 +66,9 @@ def synchronous_machine(
                  p [kg.m2/s]; theta [rad], electrical angle of the d axis from phase a; grows for ever
     ports:       terminal: phase voltages given, currents INTO the machine out; field: voltage given, current
                  out; shaft: torque given, speed out; a positive torque accelerates: tau > 0 for a generator
-    parameters:  J, d, Ra, R_f, R_kd, .., Ld, Lq, L0, M_f, .., L_ff, L_fkd, ..; with saturation Ll and those of the curve
+    parameters:  J, d, Ra, R_f, R_kd, .., Ld, Lq, L0, M_f, .., L_ff, L_fkd, ..; with saturation Ll and those of the curve;
+                 "operational": J, d, ra, xl, x0, xd, xd1 (xd'), Td10 (Td0'), xd2, Td20, xq, .. in per unit and s, and M_f, of
+                 which the windings are functions
     observables: I[..], flux[..] (windings a, b, c, rotor), Te (electrical torque; negative for a generator)
 
     omega, J, d, tau are electrical (one pole pair) unless the set gives pole_pairs; then J, d, torque and
@@ -74,7 +80,7 @@ def synchronous_machine(
     Source: Kinon, Morandin, Schulze, Appl. Numer. Math. 2026, Example 4, Appendix B; Kundur 1994, chapter 3.
     """
     data = _saturated(machine, saturation)
-    return _build(data, coordinates, start or steady_state(data), None)
+    return _build(data, coordinates, start or steady_state(data), None, parameters)
 
 
 def machine_at_bus(
@@ -125,18 +131,26 @@ def _far_end(near: OperatingPoint, R: float, L: float, omega: float) -> list[flo
 
 
 def _build(
-    data: MachineData, coordinates: Coordinates, start: OperatingPoint, line: tuple[float, float] | None
+    data: MachineData,
+    coordinates: Coordinates,
+    start: OperatingPoint,
+    line: tuple[float, float] | None,
+    parameters: Parameters = "circuit",
 ) -> PHDAE:
     builders = {"dq-flux": _dq_flux, "abc-flux": _abc_flux, "current": _current}
     if coordinates not in builders:
         raise ValueError(f"coordinates '{coordinates}' unknown; {meant(coordinates, builders)}")
-    return builders[coordinates](_Common(data, start, line))
+    if parameters not in WINDINGS:
+        raise ValueError(f"parameters '{parameters}' unknown; {meant(parameters, WINDINGS)}")
+    return builders[coordinates](_Common(data, start, line, parameters))
 
 
 class _Common:
     """The common part of the three coordinate systems: parameters, p, theta, ports, friction, kinetic energy."""
 
-    def __init__(self, data: MachineData, start: OperatingPoint, line: tuple[float, float] | None):
+    def __init__(
+        self, data: MachineData, start: OperatingPoint, line: tuple[float, float] | None, parameters: Parameters
+    ):
         self.data, self.start = data, start
         self.R_line = (
             None if line is None else parameter("R_line", line[0], unit="ohm", min=0.0, description="line, per phase")
@@ -144,14 +158,10 @@ class _Common:
         L_line = (
             None if line is None else parameter("L_line", line[1], unit="H", min=0.0, description="line, per phase")
         )
-        self.L: Inductances = inductances(data, L_line)
+        windings = WINDINGS[parameters](data, L_line)
+        self.L, self.Ra, self.R, self.windings_of = windings.L, windings.Ra, windings.R, windings.parameters
         self.J = parameter("J", data.J, unit="kg.m2", description="inertia")
         self.d = parameter("d", data.d, unit="N.m.s/rad", description="friction torque per speed")
-        self.Ra = parameter("Ra", data.Ra, unit="ohm", min=0.0, description="stator resistance")
-        self.R = tuple(
-            parameter(f"R_{n}", r, unit="ohm", description=f"resistance of winding {n}")
-            for n, r in zip(data.windings, data.R_rotor, strict=True)
-        )
         self.J_el, self.d_el = self.J / data.pole_pairs**2, self.d / data.pole_pairs**2
         momentum = data.J_electrical * data.omega
         self.p = state(
@@ -221,13 +231,13 @@ class _Common:
             nominal=data.pole_pairs * data.Sn / data.omega,
             description="a positive torque accelerates",
         )
-        stator_R = self.Ra.sx if self.R_line is None else self.Ra + self.R_line
+        stator_R = self.Ra if self.R_line is None else self.Ra + self.R_line
         line = () if self.R_line is None else (self.R_line,)
         R = ca.diag(ca.vertcat(stator_R, stator_R, stator_R, *self.R))
         return PHDAE(
             "synchronous_machine",
             states=(windings, self.p, self.theta),
-            parameters=(self.J, self.d, self.Ra, *self.R, *self.L.parameters, *line),
+            parameters=(self.J, self.d, *self.windings_of, *line),
             structure=(skew(self.theta, self.p, 1), *extra.pop("structure", ())),
             dissipation=(block([windings], R), damping(self.p, self.d_el)),
             ports=(terminal, field, shaft),

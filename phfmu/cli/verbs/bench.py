@@ -16,7 +16,7 @@ def add_parser(verbs: Any) -> None:
     parser = verbs.add_parser("bench", help="error against run time, beside peers")
     parser.add_argument(
         "target",
-        help=f"{TARGET} | chain:N, net:N, ladder:N | scaling | orders | leave-out | coupling | sweep | gradients | blame",
+        help=f"{TARGET} | chain:N, net:N, ladder:N | scaling | orders | leave-out | coupling | sweep | gradients | fit | blame",
     )
     parser.add_argument("--paper", action="store_true", help="figures, table and statements of the model's paper")
     parser.add_argument(
@@ -49,7 +49,7 @@ def add_parser(verbs: Any) -> None:
         "-o",
         "--output",
         metavar="DIR",
-        help="folder of the files (default: bench); orders, leave-out, coupling, sweep, gradients, blame: a file",
+        help="folder of the files (default: bench); orders, leave-out, coupling, sweep, gradients, fit, blame: a file",
     )
     parser.set_defaults(call=call)
 
@@ -68,6 +68,7 @@ def call(args: argparse.Namespace) -> int:
         "coupling": _coupling,
         "sweep": _sweep,
         "gradients": _gradients,
+        "fit": _fit,
         "blame": _blame,
     }
     require_known(args.target, [*tables, "scaling"])
@@ -136,6 +137,15 @@ def _gradients(args: argparse.Namespace) -> int:
     from phfmu.studies.bench.gradients import page, table
 
     return _paged(args, page, table)
+
+
+def _fit(args: argparse.Namespace) -> int:
+    from functools import partial
+    from pathlib import Path
+
+    from phfmu.studies.bench.fits import page, table
+
+    return _paged(args, partial(page, picture=Path(args.output or ".").parent / "img" / "fits.png"), table)
 
 
 def _blame(args: argparse.Namespace) -> int:

@@ -44,6 +44,8 @@ def add_parser(verbs: Any) -> None:
     parser.add_argument(
         "-o", "--output", metavar="FILE", help="what was found, X.json; phfmu run --set @X.json takes it"
     )
+    parser.add_argument("--resume", metavar="FILE",
+                        help="keep the runs in FILE; if it is there, go on with the fit that left it")  # fmt: skip
     parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
     parser.set_defaults(call=call)
 
@@ -75,7 +77,7 @@ def call(args: argparse.Namespace) -> int:
         found = fit(
             one.model, instance, experiments, listed(args.free), listed(args.measure),
             weights=_numbers(args.weight, "--weight"), bounds=_bounds(args.bounds), tries=args.tries, loss=args.loss,
-            progress=progress,
+            progress=progress, resume=args.resume,
         )  # fmt: skip
     if not args.quiet:
         print("\n".join(_lines(args, found)))

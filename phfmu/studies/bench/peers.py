@@ -10,8 +10,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from phfmu.engine.build.machine_code import compiled
 from phfmu.studies.bench.candidate import Candidate, NotAvailable, Run
-from phfmu.studies.bench.compiled import Buffered, compiled
+from phfmu.studies.bench.compiled import Buffered
 from phfmu.studies.bench.problem import Problem
 
 Array = NDArray[np.float64]

@@ -16,8 +16,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from phfmu.engine.build.machine_code import compiled
 from phfmu.studies.bench.candidate import Candidate, Run, missing
-from phfmu.studies.bench.compiled import Buffered, compiled
+from phfmu.studies.bench.compiled import Buffered
 from phfmu.studies.bench.peers import absolute
 from phfmu.studies.bench.problem import Problem
 from phfmu.studies.bench.reduced import Reduced, stabilised

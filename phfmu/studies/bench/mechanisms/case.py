@@ -11,10 +11,11 @@ import numpy as np
 
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.variable import time
+from phfmu.engine.build.machine_code import compiled
 from phfmu.network.scene import Scene
 from phfmu.studies.bench import own
 from phfmu.studies.bench.candidate import Candidate, Run, Solve
-from phfmu.studies.bench.compiled import Buffered, compiled
+from phfmu.studies.bench.compiled import Buffered
 from phfmu.studies.bench.mechanisms.assembly import Array, Assembly
 from phfmu.studies.bench.mechanisms.lagrange import Lagrange, lagrange_of
 from phfmu.studies.bench.problem import Judged, problem_of

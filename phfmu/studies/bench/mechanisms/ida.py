@@ -15,8 +15,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from phfmu.engine.build.machine_code import compiled
 from phfmu.studies.bench.candidate import Candidate, Run, missing
-from phfmu.studies.bench.compiled import Buffered, compiled
+from phfmu.studies.bench.compiled import Buffered
 from phfmu.studies.bench.mechanisms.case import Case
 from phfmu.studies.bench.mechanisms.lagrange import Array, Lagrange
 

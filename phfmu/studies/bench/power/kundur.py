@@ -8,7 +8,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.studies.bench.compiled import Buffered, compiled
+from phfmu.engine.build.machine_code import compiled
+from phfmu.studies.bench.compiled import Buffered
 from phfmu.studies.bench.power.circuit import (
     ALPHA,
     C_LINE,
