@@ -54,9 +54,9 @@ class SensitiveSteps(DerivedSteps):
         own = super().units
         d = self.model.declaration
         given = super().units | {n: v.unit for v in (*d.parameters, *d.states) for n in v.names()}
-        moved = {m: _quotient("s", given.get(n, "1")) for m, n in zip(self._times, self.by.names, strict=False)}
+        moved = {m: quotient("s", given.get(n, "1")) for m, n in zip(self._times, self.by.names, strict=False)}
         return (own | moved) | {
-            derivative_name(q.name, n): _quotient(own.get(q.name, "1"), given.get(n, "1"))
+            derivative_name(q.name, n): quotient(own.get(q.name, "1"), given.get(n, "1"))
             for q in self.derived
             for n in self.by.names
         }
@@ -147,6 +147,6 @@ class SensitiveSteps(DerivedSteps):
         return steps, row
 
 
-def _quotient(over: str, under: str) -> str:
+def quotient(over: str, under: str) -> str:
     """The unit of a derivative."""
     return over if under == "1" else f"{'1' if over == '1' else over}/({under})"

@@ -93,8 +93,8 @@ class Tangents:
         if id(model) not in self._plans:
             about = self.by.directions, events is not None
             self._plans[id(model)] = (
-                PlanFunction(model.step, _told_of_step, *about),
-                PlanFunction(model.instant, _told_of_instant, *about),
+                PlanFunction(model.step, told_of_step, *about),
+                PlanFunction(model.instant, told_of_instant, *about),
             )
         (self._step, self._instant), self.model, self.events = self._plans[id(model)], model, events
         step, instant = model.step, model.instant
@@ -268,11 +268,11 @@ def require_derived(model: Model) -> None:
         )
 
 
-def _told_of_step(rows: Rows) -> ca.SX:
+def told_of_step(rows: Rows) -> ca.SX:
     return ca.vertcat(rows.algebraics, rows.outputs, rows.work, rows.h * rows.energies(1))
 
 
-def _told_of_instant(rows: Rows) -> ca.SX:
+def told_of_instant(rows: Rows) -> ca.SX:
     return ca.vertcat(rows.algebraics, rows.outputs, rows.reported, rows.energies(0))
 
 
