@@ -277,10 +277,8 @@ def apart(
     def build() -> Stepper:
         from phfmu.network.couplings.coupled import Coupled
 
-        made = members.all(notes)
-        if names_of(args):
-            return sensitive_members(args, network, made, coupling.make, exchange)
-        return Coupled(network, made, coupling.make, threads=threads, signals=exchange)
+        found = Coupled(network, members.all(notes), coupling.make, threads=threads, signals=exchange)
+        return sensitive_members(args, found) if names_of(args) else found
 
     most, alone = _kept(members, exchange if holds else None)
     words = coupling.held if most <= coupling.order else f"units of order {most:g}"

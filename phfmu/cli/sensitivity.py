@@ -9,9 +9,7 @@ if TYPE_CHECKING:
     from phfmu.derivatives.apart.sensitive_members import SensitiveMembers
     from phfmu.derivatives.sensitive import SensitiveSteps
     from phfmu.discretise.model import Model
-    from phfmu.network.couplings.signals.held_signals import SignalExchange
-    from phfmu.network.members.member import Member
-    from phfmu.network.network import Network
+    from phfmu.network.couplings.coupled import Coupled
 
 
 def names_of(args: argparse.Namespace) -> list[str]:
@@ -47,14 +45,12 @@ def sensitive(args: argparse.Namespace, model: Model, instance: Any) -> Sensitiv
     return SensitiveSteps(model, instance, names_of(args), chosen)
 
 
-def sensitive_members(
-    args: argparse.Namespace, network: Network, members: list[Member], coupling: Any, exchange: SignalExchange
-) -> SensitiveMembers:
+def sensitive_members(args: argparse.Namespace, apart: Coupled) -> SensitiveMembers:
     """Members stepped apart with derivatives of the columns that --signals keeps."""
     from phfmu.derivatives.apart.sensitive_members import SensitiveMembers
     from phfmu.pick import pick
 
-    made = SensitiveMembers(network, members, coupling, names_of(args), exchange=exchange)
+    made = SensitiveMembers(apart, names_of(args))
     if args.signals:
         kept = pick(args.signals, made.own_names, args.target)
         made.choose([n for n in kept if n in made.derivable] or kept)

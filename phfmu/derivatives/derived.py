@@ -175,12 +175,7 @@ class DerivedSteps(Monolithic):
     def _require_constant(self, names: Sequence[str]) -> None:
         """ValueError where names that change, or follow data, are derived by."""
         followed = () if self.followed is None else self.followed.names
-        for name in dict.fromkeys([*names, *followed]):
-            if clash := self.by.among(name):
-                raise ValueError(
-                    f"{self.model.name}: {clash[0]} is set within the run, by an event or by data, so that there is no one "
-                    "value of it to be derived by"
-                )
+        self.by.require_constant(self.model.name, [*names, *followed])
 
     # -- steps with state events -------------------------------------------------------------------------------------
 

@@ -40,6 +40,11 @@ class SensitiveSteps(DerivedSteps):
         self._row = np.zeros(0)
 
     @property
+    def derived_names(self) -> list[str]:
+        """The signals that are derived."""
+        return [q.name for q in self.derived]
+
+    @property
     def columns(self) -> list[str]:
         """Derivatives of the times of rows where they move, and the signals that are derived, each followed by its own."""
         return self._times + [

@@ -2,14 +2,26 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from phfmu import Event, NativeInstance, Options, PythonInstance, build_model, default_scheme, run
+from phfmu import (
+    Event,
+    NativeInstance,
+    Options,
+    PythonInstance,
+    RunFunction,
+    build_model,
+    default_scheme,
+    gradient,
+    run,
+)
 from phfmu.cli import main
 from phfmu.cli.settings import with_settings
 from phfmu.components.library import build
@@ -75,12 +87,12 @@ def test_they_are_those_of_the_composed_steps(name: str, order: int, engine: Any
     """The interface is solved to about 1e-12 of its terms, so that what both have in common differs by little more."""
     network, options = scene(name)
     by, whole = CASES[name][0], network.compose()
-    stepper = SensitiveMembers(network, members(network, order, engine), newton, by)
+    stepper = SensitiveMembers(Coupled(network, members(network, order, engine), newton), by)
     found = run(stepper, options)
     model = build_model(whole, default_scheme(whole, order))
     composed = run(SensitiveSteps(model, engine(model), by), options)
     size, states = largest(composed), {n for v in whole.states for n in v.names()}
-    compared = [q for q in stepper.derived if q in states or not (follows_ends(q) or rounding(q))]
+    compared = [q for q in stepper.derived_names if q in states or not (follows_ends(q) or rounding(q))]
     assert states <= set(compared)
     errors = {}
     for q in compared:
@@ -96,7 +108,7 @@ def _differ(
 ) -> dict[tuple[str, str], float]:
     """Errors of columns against extrapolated differences of coupled runs, the start left out: there junctions have the limit of
     ever shorter steps, to 1e-6."""
-    stepper = SensitiveMembers(network, made(network), coupling, by)
+    stepper = SensitiveMembers(Coupled(network, made(network), coupling), by)
     found, plain = run(stepper, options), run(Coupled(network, made(network), coupling), options)
     d = network.compose()
     known = {n: x for v in (*d.parameters, *d.states) for n, x in zip(v.names(), v.start, strict=True)}
@@ -112,7 +124,7 @@ def _differ(
 
         base = known.get(n, 0.0) or 1.0
         slopes = richardson(values, known.get(n, 0.0), 1e-3 * abs(base))
-        for q in (q for q in stepper.derived if not rounding(q)):
+        for q in (q for q in stepper.derived_names if not rounding(q)):
             i = plain.names.index(q)
             least = 1e-4 * size[plain.units[i]] / abs(base)
             own = np.abs(found.column(derivative_name(q, n)) - slopes[:, i])[1:].max()
@@ -200,3 +212,84 @@ def test_one_row_of_a_plan_is_no_row_of_observables(tmp_path: Path) -> None:
     given = ["--set", "v=3", "--sensitivity", "m", "--stop", "0.02", "--step", "0.01", "--engine", "python"]
     assert main(["run", "mass", *given, "-o", str(to)]) == 0
     assert open_result(to).column("d(energy.stored)/d(m)") == pytest.approx(np.full(3, 4.5))
+
+
+# -- measures, backwards, fits -------------------------------------------------------------------------------------------
+
+MEASURES = {
+    "oscillator": ["mass2.q@end", "integral(mass1.v^2)", "spring12.a.energy@end", "rms(left.velocity)", "mass1.q@0.123"],
+    "smib": ["max(gen.shaft.speed)", "integral(bus1.v[1]^2)", "gen.energy.stored@end", "energy.dissipated@end",
+             "gen.terminal.i[1]@0.0085"],
+}  # fmt: skip
+
+
+@pytest.mark.usefixtures("compiler")
+@pytest.mark.parametrize(
+    ("name", "order", "engine"),
+    wide(
+        [(n, k, e) for n in MEASURES for k in (2, 4) for e in (NativeInstance, PythonInstance)],
+        ("oscillator", 4, NativeInstance), ("oscillator", 2, PythonInstance), ("smib", 2, NativeInstance),
+    ),
+)  # fmt: skip
+def test_backwards_is_forward(name: str, order: int, engine: Any) -> None:
+    """Both go through the same linearisations, so that they differ by rounding; what is set within the run has its end."""
+    network, options = scene(name)
+    by = CASES[name][0]
+    one, two = (
+        gradient(
+            network, Coupled(network, members(network, order, engine), newton), options, MEASURES[name], by, mode=mode
+        )
+        for mode in ("forward", "reverse")
+    )
+    assert (one.mode, two.mode) == ("forward", "reverse")
+    assert two.values.tolist() == one.values.tolist()
+    assert (np.abs(one.slopes).max(axis=1) > 0).all()
+    assert two.slopes == pytest.approx(one.slopes, rel=1e-10, abs=float(1e-12 * np.abs(one.slopes).max()))
+    whole = build_model(network.compose(), default_scheme(network.compose(), order))
+    composed = gradient(whole, engine(whole), options, MEASURES[name][:3], by, mode="forward")
+    assert one.slopes[:3] == pytest.approx(composed.slopes, rel=1e-7, abs=float(1e-10 * np.abs(composed.slopes).max()))
+
+
+@pytest.mark.usefixtures("compiler")
+@pytest.mark.parametrize("mode", ["forward", "reverse"])
+def test_an_event_ends_what_follows_from_a_parameter(mode: Any) -> None:
+    """A stiffness that is set halfway acts up to there: the derivative is that of the run whose second half has it fixed."""
+    network, options = scene("oscillator")
+    options = replace(options, events=(Event(0.2, "spring12.k", 30.0),))
+
+    def coupled(k: float) -> Coupled:
+        other = with_settings(network, {"spring12.k": k})
+        return Coupled(other, members(other, 4), newton)
+
+    found = gradient(network, coupled(20.0), options, ["mass1.q@end"], ["spring12.k"], mode=mode)
+    slope = richardson(lambda k: run(coupled(k), options).column("mass1.q")[-1:], 20.0, 0.02)
+    assert found.slopes[0, 0] == pytest.approx(slope[0], rel=1e-8)
+
+
+@pytest.mark.usefixtures("compiler")
+def test_a_run_as_a_function_starts_anew() -> None:
+    network, options = scene("oscillator")
+    coupled = Coupled(network, members(network, 4), newton)
+    f = RunFunction(network, coupled, options, ["mass2.q@end", "mass1.v@end"], ["spring12.k", "mass1.q"])
+    begin = f.start[0]
+    first = f(begin)
+
+    def along(i: int) -> np.ndarray:
+        return richardson(lambda v: f(np.where(np.arange(2) == i, v, begin)), begin[i], 1e-3 * abs(begin[i] or 1.0))
+
+    slopes = np.column_stack([along(0), along(1)])
+    assert f.jacobian(begin) == pytest.approx(slopes, rel=1e-8, abs=1e-10)
+    assert f(begin).tolist() == first.tolist()
+
+
+@pytest.mark.usefixtures("compiler")
+def test_a_fit_of_members_apart_finds_what_made_the_data(tmp_path: Path) -> None:
+    data, to = tmp_path / "data.csv", tmp_path / "fit.json"
+    common = ["--step", "0.01", "--stop", "0.5"]
+    made = ["--set", "mass1.m=1.04", "--set", "spring12.k=151", "--signals", "mass*.q"]
+    assert main(["run", "oscillator", "--coupling", "newton", *common, *made, "-o", str(data)]) == 0
+    free = ["--free", "mass1.m,spring12.k", "--measure", "mass1.q,mass2.q", "--coupling", "newton"]
+    assert main(["fit", "oscillator", str(data), *free, *common, "-o", str(to)]) == 0
+    values = json.loads(to.read_text())["values"]
+    assert values["mass1.m"] == pytest.approx(1.04, rel=1e-7)
+    assert values["spring12.k"] == pytest.approx(151.0, rel=1e-7)

@@ -17,8 +17,8 @@ from phfmu.discretise.start import Projection
 from phfmu.gradients.quadrature import nodes
 from phfmu.network.couplings.anderson import Anderson
 from phfmu.network.couplings.coupled import Coupled
+from phfmu.network.couplings.coupling import Solution
 from phfmu.network.couplings.newton import Newton
-from phfmu.network.couplings.signals.held_signals import SignalExchange
 from phfmu.network.couplings.stepper import Landing
 from phfmu.network.couplings.unconverged import Accepting, Halving
 from phfmu.network.members.engine_member import EngineMember
@@ -30,6 +30,9 @@ from phfmu.signals import Quantity, of_member, quantities
 
 Array = NDArray[np.float64]
 
+#: steps that are linearised at a time
+AT_ONCE = 256
+
 
 class DerivedMembers(Coupled):
     """Members stepped apart, whose rows are derived by parameters, held inputs or start values `by`, as `member.name`.
@@ -38,22 +41,16 @@ class DerivedMembers(Coupled):
     Errors: KeyError for names that are none; ValueError for members, couplings and steps without derivatives, with the remedy.
     """
 
-    def __init__(
-        self,
-        network: Network,
-        members: list[Member],
-        coupling: Any,
-        by: Sequence[str],
-        threads: int | None = None,
-        signals: SignalExchange = "extrapolated",
-    ):
+    def __init__(self, apart: Coupled, by: Sequence[str]):
+        network, members = apart.joined.network, apart.joined.members
         _require_engines(network, members)
-        super().__init__(network, members, coupling, threads, signals)
+        super().__init__(network, members, apart.made_by, apart._threads, apart._signals_are)
+        self.joined.free[:] = apart.joined.free
         self._require_smooth()
         self.engines: list[EngineMember] = [m for m in members if isinstance(m, EngineMember)]
         #: the same members as one model, which the start is derived by
-        self.whole: Model = build_model(network.compose(), self.engines[0].model.scheme)
-        self.by = By.of(self.whole.declaration, by)
+        self.model: Model = build_model(network.compose(), self.engines[0].model.scheme)
+        self.by = By.of(self.model.declaration, by)
         own = [self._own(m) for m in self.engines]
         #: by member, places of its names among all
         self.at = [
@@ -65,8 +62,8 @@ class DerivedMembers(Coupled):
         )
         #: columns that are no derivatives
         self.own_names = list(self.names)
-        self._acts = np.ones(len(self.by.names))
-        self._given, self._begun = [m.instance.x[: m.model.step.nx].copy() for m in self.engines], False
+        #: entries of all members, junctions and sums at ends, which columns are made of
+        self.width = len(self.joined.names) + len(self.joined.face.names) + len(self._sums.names)
         #: of each member's columns; names of those that have derivatives
         self._quantities = [self._of(m) for m in self.engines]
         self.derivable = [
@@ -74,6 +71,49 @@ class DerivedMembers(Coupled):
             *self.joined.face.names,
         ]
         self.derivable = [n for n in self.own_names if n in {*self.derivable, *self._columns.totals}]
+        self._given = [m.instance.x[: m.model.step.nx].copy() for m in self.engines]
+        self.forget()
+
+    def forget(self) -> None:
+        """What was kept of the steps so far belongs to another run."""
+        self._acts, self._begun = np.ones(len(self.by.names)), False
+
+    @property
+    def sequence(self) -> tuple[tuple[int, ...], ...]:
+        """Numbers of the state events of the run: none."""
+        return ()
+
+    def begin(self, values: Mapping[str, float]) -> None:
+        """Back to the start, with other parameters, start values or held inputs, by scalar name."""
+        self._given = []
+        for m, place in zip(self.engines, self.joined.places, strict=True):
+            d, u = m.model.declaration, m.start_inputs()
+            p, x = m.model.p0.copy(), m.model.x0.copy()
+            kinds = ((d.parameters, p), (d.states, x))
+            for names, to in (*(([n for v in vs for n in v.names()], to) for vs, to in kinds), (m.input_names, u)):
+                for i, n in enumerate(names):
+                    to[i] = values.get(of_member(m.name, n), to[i])
+            m.instance.reset()
+            m.instance.set_parameters(p)
+            m.set_input(u)
+            m.instance.set_x(m.model.t0, x)
+            m.instance.initialise()
+            self.joined.free[place] = u
+            self._given.append(x)
+        self.joined.free[self.joined.face.fed] = 0.0
+        self._sums.forget()
+        self._signals.forget()
+        self.last, self._at_start = Solution(self.joined.face.start.copy()), None
+        self.forget()
+
+    def require_derivable(self, name: str) -> None:
+        """ValueError for a column that has no derivatives."""
+        if name in self.own_names and name not in self.derivable:
+            network = self.joined.network
+            raise ValueError(
+                f"{network.name}: {name} is told at an instant that members stepped apart do not solve, and has no "
+                f"derivative; leave it out, or {network.to_compose}"
+            )
 
     def _own(self, m: EngineMember) -> By:
         """The names of a member."""
@@ -122,6 +162,8 @@ class DerivedMembers(Coupled):
 
     def set_value(self, name: str, value: float) -> str:
         kind = super().set_value(name, value)
+        if self._begun and kind == "input":
+            self.by.require_constant(self.joined.network.name, [name])
         if self._begun:
             self.cut(name)
         return kind
@@ -154,6 +196,8 @@ class DerivedMembers(Coupled):
 
     def kept_step(self, t0: float, h: float, k: int) -> tuple[Steps, JointSteps]:
         """Step k of a grid, and what it is derived by."""
+        if self.joined.followed is not None:
+            self.by.require_constant(self.joined.network.name, self.joined.followed.data.names)
         before = [m.instance.x[: m.model.step.nx].copy() for m in self.engines]
         given = [self._outside(i, t0, h, k) for i in range(len(self.engines))]
         steps = super().advance(t0, h, 1, k)
@@ -179,7 +223,7 @@ class DerivedMembers(Coupled):
 
         The start and what follows at its instant are those of the composed model; columns that it does not have are NaN.
         """
-        model, d = self.whole, self.whole.declaration
+        model, d = self.model, self.model.declaration
         now = dict(zip(self.own_names, row.tolist(), strict=True))
         states = {of_member(m.name, n): v for m in self.engines for n, v in m.states.items()}
         given = {

@@ -34,6 +34,10 @@ class JointSteps:
     parts: list[MemberSteps]
     z: Array
 
+    def some(self, which: slice) -> JointSteps:
+        """Some of them."""
+        return JointSteps([p.some(which) for p in self.parts], self.z[which])
+
     @staticmethod
     def joined(steps: Sequence[JointSteps]) -> JointSteps:
         parts = [MemberSteps.joined(list(own)) for own in zip(*(s.parts for s in steps), strict=True)]

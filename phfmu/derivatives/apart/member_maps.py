@@ -25,6 +25,9 @@ from phfmu.schemes.impulses import POINTS
 
 Array = NDArray[np.float64]
 
+#: of `Taken` what there is for each step
+ROWS = ("t", "h", "before", "after", "w", "u", "a_end")
+
 
 @dataclass(frozen=True)
 class MemberSteps:
@@ -33,14 +36,18 @@ class MemberSteps:
     taken: Taken
     impulses: Array
 
+    def some(self, which: slice) -> MemberSteps:
+        """Some of them."""
+        t = self.taken
+        rows = {n: getattr(t, n)[which] for n in ROWS}
+        return MemberSteps(Taken(**rows, p=t.p), self.impulses[which])
+
     @staticmethod
     def joined(steps: list[MemberSteps]) -> MemberSteps:
         """One after the other, under the same parameters."""
         parts = [s.taken for s in steps]
-        names = ("t", "h", "before", "after", "w", "u")
-        rows = {n: np.concatenate([getattr(p, n) for p in parts]) for n in names}
-        a_end, impulses = (np.concatenate(v) for v in ([p.a_end for p in parts], [s.impulses for s in steps]))
-        return MemberSteps(Taken(**rows, p=parts[0].p, a_end=a_end), impulses)
+        rows = {n: np.concatenate([getattr(p, n) for p in parts]) for n in ROWS}
+        return MemberSteps(Taken(**rows, p=parts[0].p), np.concatenate([s.impulses for s in steps]))
 
 
 @dataclass(frozen=True)
@@ -77,6 +84,8 @@ class MemberMaps:
         instant, start = model.instant, self.of_step["dissipated"].stop
         sizes = (instant.na, instant.nq, instant.nobs, instant.ncomp)
         self.of_instant = {n: slice(s.start + start, s.stop + start) for n, s in places(OF_INSTANT, sizes).items()}
+        #: how much is told of a step and at its end
+        self.told = self.of_instant["H"].stop
         #: impulses at start and end by the unknowns (2 x kicks x unknowns)
         self.kicks = np.zeros((2, part.kicks, self.reached))
         n, kicked = len(part.inputs), len(part.kicked)

@@ -4,27 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.derivatives.apart.derived_members import DerivedMembers
+from phfmu.derivatives.apart.derived_members import AT_ONCE, DerivedMembers
 from phfmu.derivatives.apart.joint_maps import JointSteps
 from phfmu.derivatives.sensitive import quotient
 from phfmu.derivatives.tangents import of_quantities
 from phfmu.interrupt import Interrupted
-from phfmu.network.couplings.signals.held_signals import SignalExchange
-from phfmu.network.members.member import Member
-from phfmu.network.network import Network
+from phfmu.network.couplings.coupled import Coupled
 from phfmu.outcome.status import StepFailure
 from phfmu.outcome.steps import Steps
 from phfmu.signals import SignalKind, derivative_name, of_member
 
 Array = NDArray[np.float64]
-
-#: steps that are linearised at a time
-AT_ONCE = 256
 
 
 class SensitiveMembers(DerivedMembers):
@@ -34,17 +28,8 @@ class SensitiveMembers(DerivedMembers):
     Errors: those of `DerivedMembers`; ValueError for signals without derivatives.
     """
 
-    def __init__(
-        self,
-        network: Network,
-        members: list[Member],
-        coupling: Any,
-        by: Sequence[str],
-        signals: Sequence[str] | None = None,
-        threads: int | None = None,
-        exchange: SignalExchange = "extrapolated",
-    ):
-        super().__init__(network, members, coupling, by, threads, exchange)
+    def __init__(self, apart: Coupled, by: Sequence[str], signals: Sequence[str] | None = None):
+        super().__init__(apart, by)
         self.choose(signals)
         self._S: list[Array] = []
         self._energies: list[dict[str, Array]] = []
@@ -52,20 +37,16 @@ class SensitiveMembers(DerivedMembers):
 
     def choose(self, signals: Sequence[str] | None) -> None:
         """Derives these columns, None: all that have derivatives.  ValueError for those that have none."""
-        network = self.joined.network
-        if lost := [n for n in signals or () if n in self.own_names and n not in self.derivable]:
-            raise ValueError(
-                f"{network.name}: {lost[0]} is told at an instant that members stepped apart do not solve, and has no "
-                f"derivative; leave it out, or {network.to_compose}"
-            )
-        self.derived = [n for n in self.derivable if signals is None or n in signals]
-        self._places = [self.own_names.index(n) for n in self.derived]
-        self.names = [*self.own_names, *(derivative_name(s, n) for s in self.derived for n in self.by.names)]
+        for n in signals or ():
+            self.require_derivable(n)
+        self.derived_names = [n for n in self.derivable if signals is None or n in signals]
+        self._places = [self.own_names.index(n) for n in self.derived_names]
+        self.names = [*self.own_names, *(derivative_name(s, n) for s in self.derived_names for n in self.by.names)]
 
     @property
     def columns(self) -> list[str]:
         """The signals that are derived, each followed by its derivatives."""
-        return [c for s in self.derived for c in (s, *(derivative_name(s, n) for n in self.by.names))]
+        return [c for s in self.derived_names for c in (s, *(derivative_name(s, n) for n in self.by.names))]
 
     @property
     def units(self) -> dict[str, str]:
@@ -79,7 +60,7 @@ class SensitiveMembers(DerivedMembers):
         under = own | given
         return own | {
             derivative_name(s, n): quotient(own.get(s, "1"), under.get(n, "1"))
-            for s in self.derived
+            for s in self.derived_names
             for n in self.by.names
         }
 
@@ -87,7 +68,7 @@ class SensitiveMembers(DerivedMembers):
     def kinds(self) -> dict[str, SignalKind]:
         own = super().kinds
         more: dict[str, SignalKind] = {
-            derivative_name(s, n): own[s] for s in self.derived if s in own for n in self.by.names
+            derivative_name(s, n): own[s] for s in self.derived_names if s in own for n in self.by.names
         }
         return own | more
 
