@@ -25,7 +25,7 @@ def listed(text: str) -> list[str]:
 def require_equal_steps(args: argparse.Namespace, engine: str) -> None:
     """ValueError for options that derivatives do not go with."""
     odd = {
-        "--rtol": args.rtol, "--restart": args.restart, "--dense": args.dense,
+        "--rtol": args.rtol, "--dense": args.dense,
         "--audit-detail": args.audit_detail, "--engine fmu": engine == "fmu",
     }  # fmt: skip
     if found := [name for name, value in odd.items() if value]:

@@ -109,12 +109,22 @@ class SensitiveSteps(DerivedSteps):
         starts = np.asarray(t0 + h * (first + np.arange(n)), np.float64)
         return self._with_derivatives(instance, r, starts, h, u, inputs)
 
+    def kept(self) -> Any:
+        return self._tangents.kept(), self._last, self._row
+
+    def back(self, kept: Any) -> None:
+        tangents, self._last, self._row = kept
+        self._tangents.back(tangents)
+
     def _with_derivatives(
         self, instance: Any, r: dict[str, Array], t: Array, h: float, u: Array, inputs: Array | None
     ) -> Steps:
         """The record of steps from the times t, with the derivatives of their rows; `u`: inputs that are held throughout."""
         assert self._last is not None
-        steps = Taken.recorded(self.model, instance, r, t, h, self._last, u if inputs is None else np.asarray(inputs))
+        model = self.model_of(instance)
+        steps = Taken.recorded(model, instance, r, t, h, self._last, u if inputs is None else np.asarray(inputs))
+        if self.model.events is None:
+            self._tangents.enter(model, None)
         rows = self._derived(self._tangents.over(steps))
         self._last, self._row = steps.after[-1].copy(), rows[-1]
         found = self.steps_of(instance, r)

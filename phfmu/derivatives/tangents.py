@@ -112,6 +112,15 @@ class Tangents:
         self.T, self._sizes = np.zeros(n), np.ones(n)
         self._sums = {"energy": np.zeros((step.nq, n)), "dissipated": np.zeros((step.ncomp, n))}
 
+    def kept(self) -> tuple[Any, ...]:
+        """Where they are, which `back` goes back to."""
+        return self.S, self.T, dict(self._sums)
+
+    def back(self, kept: tuple[Any, ...]) -> None:
+        """To where they were."""
+        self.S, self.T, sums = kept
+        self._sums = dict(sums)
+
     def cut(self, names: Sequence[str]) -> None:
         """Values of parameters or inputs that are set from now on do not follow those of the start."""
         for own in (n for name in names for n in self.by.among(name)):
@@ -257,7 +266,7 @@ def require_smooth(model: Model) -> None:
 def require_derived(model: Model) -> None:
     """ValueError for what runs have no tangents of."""
     d = model.declaration
-    if model.step.carries or model.loses_energy:
+    if model.step.carries:
         raise ValueError(
             f"{d.name}: scheme {model.scheme.name} has no derivatives here; take --scheme collocated or two-level"
         )

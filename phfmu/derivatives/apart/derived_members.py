@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -48,9 +49,7 @@ class DerivedMembers(Coupled):
         self.joined.free[:] = apart.joined.free
         self._require_smooth()
         self.engines: list[EngineMember] = [m for m in members if isinstance(m, EngineMember)]
-        #: the same members as one model, which the start is derived by
-        self.model: Model = build_model(network.compose(), self.engines[0].model.scheme)
-        self.by = By.of(self.model.declaration, by)
+        self.by = By.of(network.compose(), by)
         own = [self._own(m) for m in self.engines]
         #: by member, places of its names among all
         self.at = [
@@ -73,6 +72,11 @@ class DerivedMembers(Coupled):
         self.derivable = [n for n in self.own_names if n in {*self.derivable, *self._columns.totals}]
         self._given = [m.instance.x[: m.model.step.nx].copy() for m in self.engines]
         self.forget()
+
+    @cached_property
+    def model(self) -> Model:
+        """The same members as one model, which the start is derived by."""
+        return build_model(self.joined.network.compose(), self.engines[0].model.scheme)
 
     def forget(self) -> None:
         """What was kept of the steps so far belongs to another run."""
@@ -183,11 +187,34 @@ class DerivedMembers(Coupled):
             )
         return super().project_start(t0, kept)
 
-    def companion(self, scheme: Scheme) -> Any:
-        """ValueError: damping steps and steps of several sizes have no derivatives."""
-        raise ValueError(
-            f"{self.joined.network.name}: derivatives are told of equal steps; leave out --restart and --rtol"
-        )
+    def kept(self) -> Any:
+        """ValueError: steps that are tried with several sizes have no derivatives."""
+        raise ValueError(f"{self.joined.network.name}: derivatives are told of equal steps; leave out --rtol")
+
+    def companion(self, scheme: Scheme) -> DerivedMembers:
+        """As of `Coupled`, derived too."""
+        made = self.like(super().companion(scheme))
+        self._works.share(made._works)
+        return made
+
+    def like(self, apart: Coupled) -> DerivedMembers:
+        """Other members derived by the same."""
+        raise NotImplementedError
+
+    def go_on(self, other: Any) -> None:
+        """Derivatives go on from those of `other`, whose members are the same under another scheme."""
+        self._acts, self._begun = other._acts, other._begun
+
+    def taken(self, instance: Any, t0: float, h: float, n: int) -> Steps:
+        """As of `Coupled`; derivatives of steps of a companion count once this one goes on from it (`follow`)."""
+        if instance is not self:
+            instance.go_on(self)
+        return instance.advance(t0, h, n)
+
+    def follow(self, instance: Any, other: Any) -> None:
+        super().follow(instance, other)
+        if instance is self:
+            self.go_on(other)
 
     def land(self, t0: float, h: float, n: int, first: int = 0, changed: bool = True) -> Iterator[Landing]:
         raise ValueError(f"{self.joined.network.name}: state events of members stepped apart have no derivatives")

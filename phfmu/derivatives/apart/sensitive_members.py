@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +35,14 @@ class SensitiveMembers(DerivedMembers):
         self._S: list[Array] = []
         self._energies: list[dict[str, Array]] = []
         self._row = np.zeros(0)
+
+    def like(self, apart: Coupled) -> SensitiveMembers:
+        return SensitiveMembers(apart, self.by.names, self.derived_names)
+
+    def go_on(self, other: Any) -> None:
+        super().go_on(other)
+        self._S, self._row = other._S, other._row
+        self._energies = [dict(sums) for sums in other._energies]
 
     def choose(self, signals: Sequence[str] | None) -> None:
         """Derives these columns, None: all that have derivatives.  ValueError for those that have none."""

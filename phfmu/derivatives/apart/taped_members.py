@@ -10,13 +10,14 @@ at a cost for each measure, whatever the number of names.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.derivatives.apart.derived_members import AT_ONCE, DerivedMembers
-from phfmu.derivatives.apart.joint_maps import JointSteps
+from phfmu.derivatives.apart.joint_maps import JointMaps, JointSteps
 from phfmu.derivatives.apart.member_maps import MemberMaps
 from phfmu.interrupt import Interrupted
 from phfmu.network.couplings.coupled import Coupled
@@ -29,8 +30,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class _Stretch:
-    """Steps under the same values, rows from `first` on; acts: 1 of the names that followed the start in them."""
+    """Steps under the same values, rows from `first` on; acts: 1 of the names that followed the start in them.
 
+    maps: of the members under the scheme that took them
+    """
+
+    maps: JointMaps
     steps: JointSteps
     first: int
     acts: Array
@@ -74,6 +79,13 @@ class TapedMembers(DerivedMembers):
         for name in signals:
             self.require_derivable(name)
 
+    def like(self, apart: Coupled) -> TapedMembers:
+        return TapedMembers(apart, self.by.names)
+
+    def go_on(self, other: Any) -> None:
+        super().go_on(other)
+        self._stretches, self._count = list(other._stretches), other._count
+
     def forget(self) -> None:
         super().forget()
         self._stretches, self._count = list[_Stretch](), 1  #: and rows of the run
@@ -95,7 +107,7 @@ class TapedMembers(DerivedMembers):
         except (StepFailure, Interrupted) as failure:
             failure.recorded = {"steps": Steps.joined(parts)} if parts else {}
             raise
-        self._stretches.append(_Stretch(JointSteps.joined(kept), self._count, self._acts.copy()))
+        self._stretches.append(_Stretch(self.maps, JointSteps.joined(kept), self._count, self._acts.copy()))
         self._count += n
         return Steps.joined(parts)
 
@@ -111,7 +123,8 @@ class TapedMembers(DerivedMembers):
             n = len(s.steps.z)
             for start in reversed(range(0, n, AT_ONCE)):
                 some = slice(start, min(start + AT_ONCE, n))
-                self._over(s.steps.some(some), s.first + start, s.acts, bars, xi, found)
+                part = replace(s, steps=s.steps.some(some), first=s.first + start)
+                self._over(part, bars, xi, found)
         S, slopes = self._start
         for own, bar in zip(S, xi, strict=True):
             found += own.T @ bar
@@ -121,14 +134,12 @@ class TapedMembers(DerivedMembers):
                     found[:, m] += c[0] * slopes[self.own_names.index(name)]
         return found.T
 
-    def _over(
-        self, steps: JointSteps, first: int, acts: Array, bars: list[_Bars], xi: list[Array], found: Array
-    ) -> None:
-        """Back over steps, whose rows are `first`..: the bars xi of the states, and of the names."""
-        maps, n = self.maps.members, len(steps.z)
-        slopes = self.maps.slopes(steps, [acts[at] for at in self.at])
+    def _over(self, s: _Stretch, bars: list[_Bars], xi: list[Array], found: Array) -> None:
+        """Back over steps: the bars xi of the states, and of the names."""
+        maps, first, n = s.maps.members, s.first, len(s.steps.z)
+        slopes = s.maps.slopes(s.steps, [s.acts[at] for at in self.at])
         rows = slice(first, first + n)
-        junctions, means = bars[-1].told[rows], self.maps.means(steps.parts[0].taken.h)
+        junctions, means = bars[-1].told[rows], s.maps.means(s.steps.parts[0].taken.h)
         z = np.einsum("ncz,nct->nzt", means[:, : junctions.shape[1]], junctions)
         told = [
             np.einsum("noc,not->nct", own.told, b.told[rows]) for own, b in zip(slopes.members, bars[:-1], strict=True)
