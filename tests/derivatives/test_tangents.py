@@ -152,7 +152,10 @@ def test_units_and_names() -> None:
 
 
 REFUSED = {
-    "buffer": (["--sensitivity", "body.e", "--restart", "4"], "derivatives through state events are told of steps that are not damped"),
+    "buffer": (
+        ["--sensitivity", "body.e", "--restart", "4"],
+        "told of steps that are not damped",
+    ),
     "clutch": (["--sensitivity", "engaged", "--stop", "0.01", "--step", "1e-3"], "is the mode of an ideal switch"),
     "smib": (["--sensitivity", "gen.Q"], "no parameter, state or input 'gen.Q'"),
     "dc_motor": (["--sensitivity", "R", "--rtol", "1e-3"], "--sensitivity and --rtol do not go together"),

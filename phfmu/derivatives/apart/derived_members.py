@@ -56,9 +56,11 @@ class DerivedMembers(Coupled):
             [self.by.names.index(of_member(m.name, n)) for n in b.names] for m, b in zip(self.engines, own, strict=True)
         ]
         found = self.master.found
-        self.maps = JointMaps(
-            found, [MemberMaps(m, p, b) for m, p, b in zip(self.engines, found.parts, own, strict=True)]
-        )
+        wired: list[list[int]] = [[] for _ in self.engines]
+        for _, _, target, i in found.wires.tolist():
+            wired[target].append(i)
+        parts = zip(self.engines, found.parts, own, wired, strict=True)
+        self.maps = JointMaps(found, [MemberMaps(*p) for p in parts])
         #: columns that are no derivatives
         self.own_names = list(self.names)
         #: entries of all members, junctions and sums at ends, which columns are made of

@@ -88,6 +88,48 @@ class JointMaps:
         for side in (self._start, self._end):
             self._thrown[e.bare, np.arange(side.start, side.stop)] = 1.0
 
+    # -- signals at the ends of steps --------------------------------------------------------------------------------------
+
+    def passed_on(self, slopes: JointSlopes, told: list[Array], z: Array) -> None:
+        """Adds to tangents of what is `told` (n x told x names) what follows from signals, which are passed on one after the
+        other at the ends of steps (`couplings/runtime/present.c`); z: tangents of the unknowns (n x unknowns x names)."""
+        now = {w: m.polynomial[i] @ z[:, m.part.col] for w, m, i in self._wired()}
+        for w, (source, output, _, _) in enumerate(self.exchanged.wires.tolist()):
+            m, own = self.members[source], slopes.members[source]
+            row = m.of_instant["y_end"].start + output
+            y = told[source][:, row].copy()
+            for other, i in self._into(source):
+                y += own.passed[:, row, i, None] * now[other]
+            now[w] = self.exchanged.factors[w] * y
+        for j, own in enumerate(slopes.members):
+            for w, i in self._into(j):
+                told[j] += own.passed[:, :, i, None] * now[w][:, None]
+
+    def passed_back(self, slopes: JointSlopes, told: list[Array], z: Array) -> None:
+        """The same of bars: those of what is told (n x told x measures) go on to members that gave signals, and to the
+        unknowns."""
+        now = {w: np.zeros_like(z[:, 0]) for w in range(len(self.exchanged.wires))}
+        for j, own in enumerate(slopes.members):
+            for w, i in self._into(j):
+                now[w] += np.einsum("no,not->nt", own.passed[:, :, i], told[j])
+        for w, (source, output, _, _) in reversed(list(enumerate(self.exchanged.wires.tolist()))):
+            m, own = self.members[source], slopes.members[source]
+            row, y = m.of_instant["y_end"].start + output, self.exchanged.factors[w] * now[w]
+            now[w] = np.zeros_like(y)
+            told[source][:, row] += y
+            for other, i in self._into(source):
+                now[other] = now[other] + own.passed[:, row, i, None] * y
+        for w, m, i in self._wired():
+            z[:, m.part.col] += m.polynomial[i][:, None] * now[w][:, None]
+
+    def _into(self, member: int) -> list[tuple[int, int]]:
+        """Signals that a member takes, and their places among those."""
+        m, wires = self.members[member], self.exchanged.wires.tolist()
+        return [(w, m.wired.index(i)) for w, (_, _, target, i) in enumerate(wires) if target == member]
+
+    def _wired(self) -> list[tuple[int, MemberMaps, int]]:
+        return [(w, m, i) for j, m in enumerate(self.members) for w, i in self._into(j)]
+
     def means(self, h: Array) -> Array:
         """Means of the columns over steps of lengths h (n) by the unknowns (n x columns x unknowns)."""
         return self._means + self._thrown / h[:, None, None]

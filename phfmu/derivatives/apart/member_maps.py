@@ -8,6 +8,7 @@ at the nodes of its junctions, impulses at start and end.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -31,42 +32,49 @@ ROWS = ("t", "h", "before", "after", "w", "u", "a_end")
 
 @dataclass(frozen=True)
 class MemberSteps:
-    """Steps that a member has taken, and its impulses at their starts and ends (n x 2 x kicks)."""
+    """Steps that a member has taken, its impulses at their starts and ends (n x 2 x kicks), its inputs at their ends (n x nu)."""
 
     taken: Taken
     impulses: Array
+    ends: Array
 
     def some(self, which: slice) -> MemberSteps:
         """Some of them."""
         t = self.taken
         rows = {n: getattr(t, n)[which] for n in ROWS}
-        return MemberSteps(Taken(**rows, p=t.p), self.impulses[which])
+        return MemberSteps(Taken(**rows, p=t.p), self.impulses[which], self.ends[which])
 
     @staticmethod
     def joined(steps: list[MemberSteps]) -> MemberSteps:
         """One after the other, under the same parameters."""
         parts = [s.taken for s in steps]
         rows = {n: np.concatenate([getattr(p, n) for p in parts]) for n in ROWS}
-        return MemberSteps(Taken(**rows, p=parts[0].p), np.concatenate([s.impulses for s in steps]))
+        impulses, ends = (np.concatenate([getattr(s, n) for s in steps]) for n in ("impulses", "ends"))
+        return MemberSteps(Taken(**rows, p=parts[0].p), impulses, ends)
 
 
 @dataclass(frozen=True)
 class Linearised:
     """Per step the derivatives by [x0 | names | unknowns that reach it]: of x1, of what is told, of outputs at nodes and the end
-    (k nu + nu), and of S0 v before and S1 v after the step (vectors x kicks)."""
+    (k nu + nu), and of S0 v before and S1 v after the step (vectors x kicks).  `passed`: derivatives of what is told by the
+    signals that are passed on at the end (told x signals)."""
 
     x: Array
     told: Array
     outputs: Array
     before: Array
     after: Array
+    passed: Array
 
 
 class MemberMaps:
-    """A member whose steps have `part` in the interface, derived by names of its own."""
+    """A member whose steps have `part` in the interface, derived by names of its own.
 
-    def __init__(self, member: EngineMember, part: Part, by: By):
-        self.member, self.part, self.by = member, part, by
+    wired: inputs that signals are passed on to at the ends of steps, where they leave their polynomials
+    """
+
+    def __init__(self, member: EngineMember, part: Part, by: By, wired: Sequence[int] = ()):
+        self.member, self.part, self.by, self.wired = member, part, by, list(wired)
         model, d = member.model, by.directions
         plan = model.step
         self.nx, self.names, self.reached = plan.nx, len(by.names), len(part.col)
@@ -76,6 +84,9 @@ class MemberMaps:
         #: of the inputs at the end of a step (nu x unknowns)
         self._last, self._feed_end = last, np.einsum("k,kuz->uz", last, self._feed.reshape(plan.k, plan.nu, -1))
         self._fed_end = np.flatnonzero(self._feed_end.any(axis=1)).tolist()
+        #: those of `wired`, as if they were on their polynomials
+        self.polynomial = self._feed_end[self.wired]
+        self._feed_end[self.wired] = 0.0
         self._step = PlanFunction(plan, _told, d, nodes=self._nodes)
         self._instant = PlanFunction(model.instant, told_of_instant, d, nodes=self._fed_end)
         self._U = np.zeros((plan.nx, plan.nw))
@@ -119,10 +130,12 @@ class MemberMaps:
         i, k = self.member.instance, self.member.model.step.k
         own = np.tile(given, k) if self.part.held else given
         u = own + self._feed @ z
-        row = i.x[: self.nx], i.unknowns, u, i.signal("a_end")
-        after, w, u, a_end = (np.array(v, float)[None] for v in row)
+        end = self._last @ u.reshape(len(self._last), -1)
+        end[self.wired] = i.held_input[self.wired]
+        row = i.x[: self.nx], i.unknowns, u, i.signal("a_end"), end
+        after, w, u, a_end, end = (np.array(v, float)[None] for v in row)
         taken = Taken(np.array([t]), np.array([h]), before[None], after, w, u, i.parameters.copy(), a_end)
-        return MemberSteps(taken, (self.kicks @ z)[None])
+        return MemberSteps(taken, (self.kicks @ z)[None], end)
 
     # -- derivatives -----------------------------------------------------------------------------------------------------
 
@@ -144,7 +157,7 @@ class MemberMaps:
             star = x + t.w @ self._U.T
             _, X, more = self._kicked(star, X, p, steps.impulses[:, 1], self.kicks[1], acts)
             told[:, self.of_step["energy"].start + np.array(self.slopes.pairs, int)] += works + more
-        ends = self._at_ends(t, p, X, acts)
+        ends, by_signals = self._at_ends(steps, p, X, acts)
         stop = self.of_step["dissipated"].stop
         told, nodes = told[:, :stop], told[:, stop:]
         outputs = np.zeros((n, self.left.shape[1], C))
@@ -156,7 +169,8 @@ class MemberMaps:
             _, before = self._jumps(t.before, p, v[:, 0], start, acts)
             y, after = self._jumps(t.after, p, v[:, 1], X, acts)
             outputs[:, self.part.k * self.part.nu + np.array(self.slopes.pairs, int)] = y
-        return Linearised(X, np.concatenate([told, ends], axis=1), outputs, before, after)
+        passed = np.concatenate([np.zeros((n, stop, len(self.wired))), by_signals], axis=1)
+        return Linearised(X, np.concatenate([told, ends], axis=1), outputs, before, after, passed)
 
     def _along(self, found: Array, X: Array, feed: Array, acts: Array) -> Array:
         """By [x0 | names | unknowns] of what has derivatives by states, directions and fed inputs."""
@@ -199,15 +213,17 @@ class MemberMaps:
         first = self.of_step["y_step"].start
         return told[:, first : first + self.part.nu]
 
-    def _at_ends(self, t: Taken, p: Array, X: Array, acts: Array) -> Array:
-        """Derivatives of what is told at the ends of steps."""
-        plan, n = self.member.model.instant, len(t.t)
+    def _at_ends(self, steps: MemberSteps, p: Array, X: Array, acts: Array) -> tuple[Array, Array]:
+        """Derivatives of what is told at the ends of steps, and those by the signals that are passed on there."""
+        t, plan = steps.taken, self.member.model.instant
+        n = len(t.t)
         w = np.zeros((n, plan.nw))
         w[:, plan.mean_w] = t.a_end[:, plan.mean_a]
-        u = np.einsum("k,nku->nu", self._last, t.u.reshape(n, len(self._last), -1))
-        at = Point(np.column_stack([t.after, t.t + t.h]), w, u, p, np.ones(n))
+        at = Point(np.column_stack([t.after, t.t + t.h]), w, steps.ends, p, np.ones(n))
         at = Point(at.x, self._instant.solved(at), at.u, at.p, at.h)
-        return self._along(self._instant.response(at).told, X, self._feed_end[self._fed_end], acts)
+        found, first = self._instant.response(at).told, self.nx + self.by.directions.n
+        signals = found[:, :, [first + self._fed_end.index(i) for i in self.wired]]
+        return self._along(found, X, self._feed_end[self._fed_end], acts), signals
 
 
 def _told(rows: Rows) -> ca.SX:

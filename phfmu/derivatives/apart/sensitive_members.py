@@ -138,9 +138,10 @@ class SensitiveMembers(DerivedMembers):
             for m, d in zip(maps, D, strict=True):
                 d[i, m.nx + m.names :] = dz[i][m.part.col]
             self._S = [own.x[i] @ d[i] for own, d in zip(slopes.members, D, strict=True)]
-        blocks = [
-            self._blocks(j, own.told @ d, own.x @ d) for j, (own, d) in enumerate(zip(slopes.members, D, strict=True))
-        ]
+        told = [own.told @ d for own, d in zip(slopes.members, D, strict=True)]
+        self.maps.passed_on(slopes, told, dz)
+        states = (own.x @ d for own, d in zip(slopes.members, D, strict=True))
+        blocks = [self._blocks(j, own, S) for j, (own, S) in enumerate(zip(told, states, strict=True))]
         junctions = (self.maps.means(steps.parts[0].taken.h) @ dz)[:, : len(self.joined.face.names)]
         return self._rows_of(blocks, junctions)
 

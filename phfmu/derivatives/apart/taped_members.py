@@ -141,9 +141,9 @@ class TapedMembers(DerivedMembers):
         rows = slice(first, first + n)
         junctions, means = bars[-1].told[rows], s.maps.means(s.steps.parts[0].taken.h)
         z = np.einsum("ncz,nct->nzt", means[:, : junctions.shape[1]], junctions)
-        told = [
-            np.einsum("noc,not->nct", own.told, b.told[rows]) for own, b in zip(slopes.members, bars[:-1], strict=True)
-        ]
+        given = [b.told[rows].copy() for b in bars[:-1]]
+        s.maps.passed_back(slopes, given, z)
+        told = [np.einsum("noc,not->nct", own.told, b) for own, b in zip(slopes.members, given, strict=True)]
         for i in reversed(range(n)):
             back = list[Array]()
             for m, own, D, b, bar in zip(maps, slopes.members, told, bars[:-1], xi, strict=True):
