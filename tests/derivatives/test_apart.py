@@ -79,9 +79,13 @@ def follows_ends(column: str) -> bool:
 @pytest.mark.parametrize(
     ("name", "order", "engine"),
     wide(
-        [(n, k, e) for n in CASES for k in (2, 4, 6) for e in (NativeInstance, PythonInstance)],
+        [
+            ("oscillator", 4, PythonInstance), ("oscillator", 6, NativeInstance), ("smib", 2, NativeInstance),
+            ("two_machine", 4, NativeInstance), ("speed_control", 2, NativeInstance), ("smib", 6, NativeInstance),
+            ("smib", 2, PythonInstance),
+        ],
         ("oscillator", 4, PythonInstance), ("oscillator", 6, NativeInstance), ("smib", 2, NativeInstance),
-        ("two_machine", 4, NativeInstance),
+        ("two_machine", 4, NativeInstance), ("speed_control", 2, NativeInstance),
     ),
 )  # fmt: skip
 def test_they_are_those_of_the_composed_steps(name: str, order: int, engine: Any) -> None:
@@ -134,7 +138,7 @@ def _differ(
 
 
 @pytest.mark.usefixtures("compiler")
-@pytest.mark.parametrize("name", ["oscillator", "speed_control", *wide(["smib", "two_machine"], "two_machine")])
+@pytest.mark.parametrize("name", ["oscillator", "speed_control", *wide(["two_machine"])])
 def test_all_columns_are_the_differences_of_coupled_runs(name: str) -> None:
     network, options = scene(name)
     by = CASES[name][0][:2]
@@ -151,7 +155,7 @@ def test_held_values_and_members_of_other_orders(coupling: Any, accuracy: float)
     """
     network, options = scene("oscillator")
     orders = {"mass1": 2, "mass2": 6, "spring12": 4}
-    errors = _differ(network, CASES["oscillator"][0], options, lambda n: members(n, orders=orders), coupling)
+    errors = _differ(network, ["spring12.k", "mass1.q"], options, lambda n: members(n, orders=orders), coupling)
     assert {k: e for k, e in errors.items() if e > accuracy} == {}
 
 
@@ -228,11 +232,10 @@ MEASURES = {
 @pytest.mark.usefixtures("compiler")
 @pytest.mark.parametrize(
     ("name", "order", "engine"),
-    wide(
-        [(n, k, e) for n in MEASURES for k in (2, 4) for e in (NativeInstance, PythonInstance)],
-        ("oscillator", 4, NativeInstance), ("oscillator", 2, PythonInstance), ("smib", 2, NativeInstance),
-        ("speed_control", 4, NativeInstance),
-    ),
+    [
+        ("oscillator", 4, NativeInstance), ("oscillator", 2, PythonInstance), ("speed_control", 4, NativeInstance),
+        *wide([("smib", 2, NativeInstance)]),
+    ],
 )  # fmt: skip
 def test_backwards_is_forward(name: str, order: int, engine: Any) -> None:
     """Both go through the same linearisations, so that they differ by rounding; what is set within the run has its end."""
