@@ -11,7 +11,7 @@ from math import inf
 from typing import TYPE_CHECKING, Any
 
 from phfmu.cli.options import lenient_of, scene_of, scheme_of
-from phfmu.cli.sensitivity import names_of, require_equal_steps, sensitive
+from phfmu.cli.sensitivity import names_of, require_equal_steps, sensitive, sensitive_members
 from phfmu.cli.settings import settings, with_settings
 from phfmu.cli.sound import require_sound_scene
 from phfmu.cli.stepping import (
@@ -277,12 +277,16 @@ def apart(
     def build() -> Stepper:
         from phfmu.network.couplings.coupled import Coupled
 
-        return Coupled(network, members.all(notes), coupling.make, threads=threads, signals=exchange)
+        found = Coupled(network, members.all(notes), coupling.make, threads=threads, signals=exchange)
+        return sensitive_members(args, found) if names_of(args) else found
 
     most, alone = _kept(members, exchange if holds else None)
     words = coupling.held if most <= coupling.order else f"units of order {most:g}"
     said = coupling.words + _number(network) + SAID[exchange]
     head = label(list(schemes.values()), stepping.words, said, most, words)
+    if derived := names_of(args):
+        head += f", with derivatives by {', '.join(derived)}"
+        require_equal_steps(args, stepping.words)
     notes += _order_lost(args.order, coupling, most, [members.whole.why_held(n) for n in alone])
     order = None if network.units or not schemes else min(most, *(scheme.order for scheme in schemes.values()))
     return Job(s, head, False, build, notes, order, made)
@@ -392,6 +396,11 @@ def job_of(args: argparse.Namespace) -> Job:
     lenient_of(args)
     if is_fmu(args.target):
         _require_whole(args)
+        if names_of(args):
+            raise ValueError(
+                f"{args.target}: --sensitivity is for declared models, composed or stepped apart; an FMU does not tell how its "
+                "states follow its parameters: run the declaration, or leave it out"
+            )
         return unit(args)
     s = scene_of(args)
     s = with_given(args, s)
@@ -424,10 +433,6 @@ def _require_whole(args: argparse.Namespace) -> None:
         raise ValueError(
             f"{args.target}: --audit-detail tells energies and resistors of one composed model by themselves; members that are "
             "stepped apart, and FMUs, tell their sums: take --coupling monolithic, or leave it out"
-        )
-    if names_of(args):
-        raise ValueError(
-            f"{args.target}: --sensitivity is for one composed model; take --coupling monolithic, or leave it out"
         )
 
 

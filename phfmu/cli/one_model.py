@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from phfmu.discretise.model import Model
+    from phfmu.network.network import Network
     from phfmu.network.scene import Scene
 
 
@@ -21,6 +22,16 @@ class OneModel:
 
     scene: Scene
     model: Model
+    step: float
+    instance: Callable[[float], Any]
+
+
+@dataclass(frozen=True)
+class MembersApart:
+    """The same with the network whose members are stepped apart; instance(steps): a `Coupled` of it."""
+
+    scene: Scene
+    model: Network
     step: float
     instance: Callable[[float], Any]
 
@@ -39,6 +50,37 @@ def add_one_model(parser: argparse.ArgumentParser) -> None:
     options.add_lenient(parser)
     options.add_grid(parser)
     parser.add_argument("--project", action="store_true", help="move an inconsistent start onto its constraints")
+
+
+def members_apart(args: argparse.Namespace, coupling: str) -> MembersApart:
+    """The network of the target with all declared members stepped apart; ValueError for what is no network, or has units."""
+    from phfmu.cli.job import with_given
+    from phfmu.cli.options import scene_of, scheme_of
+    from phfmu.cli.sound import require_sound_scene
+    from phfmu.cli.stepping import engine_of, instance_of
+    from phfmu.discretise.model import build_model
+    from phfmu.network.couplings.coupled import Coupled
+    from phfmu.network.couplings.named import named_coupling
+    from phfmu.network.members.engine_member import EngineMember
+    from phfmu.network.network import Network
+
+    scene = with_given(args, scene_of(args))
+    require_sound_scene(args, scene)
+    if scene.events:
+        require_sound_scene(args, scene, scene.events)
+    network = scene.system
+    if not isinstance(network, Network) or network.units:
+        raise ValueError(f"{args.target}: --coupling {coupling} needs a network of declared members")
+    models = {n: build_model(d, scheme_of(args, d, member=True)) for n, d in network.separate(set()).items()}
+    made = named_coupling(coupling, network).make
+
+    def instance(steps: float) -> Coupled:
+        engine = engine_of(args.engine)
+        return Coupled(
+            network, [EngineMember(n, m, instance_of(m, engine, "auto", steps)) for n, m in models.items()], made
+        )
+
+    return MembersApart(scene, network, scene.step if args.step is None else args.step, instance)
 
 
 def one_model(args: argparse.Namespace) -> OneModel:

@@ -6,8 +6,10 @@ import argparse
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from phfmu.derivatives.apart.sensitive_members import SensitiveMembers
     from phfmu.derivatives.sensitive import SensitiveSteps
     from phfmu.discretise.model import Model
+    from phfmu.network.couplings.coupled import Coupled
 
 
 def names_of(args: argparse.Namespace) -> list[str]:
@@ -23,13 +25,12 @@ def listed(text: str) -> list[str]:
 def require_equal_steps(args: argparse.Namespace, engine: str) -> None:
     """ValueError for options that derivatives do not go with."""
     odd = {
-        "--rtol": args.rtol, "--restart": args.restart, "--dense": args.dense,
+        "--rtol": args.rtol, "--dense": args.dense,
         "--audit-detail": args.audit_detail, "--engine fmu": engine == "fmu",
     }  # fmt: skip
     if found := [name for name, value in odd.items() if value]:
         raise ValueError(
-            f"{args.target}: --sensitivity and {found[0]} do not go together: derivatives are told of equal steps of one model, "
-            "row by row"
+            f"{args.target}: --sensitivity and {found[0]} do not go together: derivatives are told of equal steps, row by row"
         )
 
 
@@ -42,3 +43,15 @@ def sensitive(args: argparse.Namespace, model: Model, instance: Any) -> Sensitiv
     names = Columns(model, instance.layout).names
     chosen = pick(args.signals, names, args.target) if args.signals else None
     return SensitiveSteps(model, instance, names_of(args), chosen)
+
+
+def sensitive_members(args: argparse.Namespace, apart: Coupled) -> SensitiveMembers:
+    """Members stepped apart with derivatives of the columns that --signals keeps."""
+    from phfmu.derivatives.apart.sensitive_members import SensitiveMembers
+    from phfmu.pick import pick
+
+    made = SensitiveMembers(apart, names_of(args))
+    if args.signals:
+        kept = pick(args.signals, made.own_names, args.target)
+        made.choose([n for n in kept if n in made.derivable] or kept)
+    return made

@@ -70,6 +70,15 @@ class By:
         """The names that `name` means, a vector all its entries."""
         return [n for n in self.names if n == name or n.partition("[")[0] == name]
 
+    def require_constant(self, model: str, names: Sequence[str]) -> None:
+        """ValueError where one of the names, which change within a run of `model`, is derived by."""
+        for name in dict.fromkeys(names):
+            if clash := self.among(name):
+                raise ValueError(
+                    f"{model}: {clash[0]} is set within the run, by an event or by data, so that there is no one value of it to "
+                    "be derived by"
+                )
+
     def sizes(self, x: Array, u: Array, p: Array) -> Array:
         """Magnitudes of the values (names) that a run is derived by, 1 of those that are 0."""
         found = np.zeros(len(self.names))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from phfmu.derivatives.by import By
 from phfmu.derivatives.event_maps import EventMaps
 from phfmu.derivatives.mode_entry import ModeEntry
-from phfmu.derivatives.tangents import in_parts
+from phfmu.derivatives.tangents import in_parts, require_derived
 from phfmu.discretise.model import Model
 from phfmu.discretise.start import Projection
 from phfmu.engine.native.reverse import NativeTapes
@@ -76,6 +76,8 @@ class DerivedSteps(Monolithic):
         sides = set() if model.modes is None else {s.mode_name for s in model.modes.modes.switches}
         if found := [n for n in self.by.names if n in sides]:
             raise KeyError(f"{model.name}: '{found[0]}' is the mode of an ideal switch; there is no derivative by it")
+        #: what is known of steps of a companion that are not taken yet
+        self._tried: Any = None
         #: states after the last step, None before the first one
         self._last: Array | None = None
         maps = None if model.events is None else EventMaps(model, model.events, self.by.directions)
@@ -163,9 +165,48 @@ class DerivedSteps(Monolithic):
             raise ValueError(f"{self.model.name}: derivatives and --keep {kept[0]} do not go together")
         return super().project_start(t0, kept)
 
+    def measuring(self, scheme: Scheme) -> Any:
+        """ValueError: steps within a tolerance have no derivatives."""
+        raise ValueError(f"{self.model.name}: derivatives are told of equal steps; leave out --rtol")
+
     def companion(self, scheme: Scheme) -> Any:
-        """ValueError: damping steps and steps of several sizes have no derivatives."""
-        raise ValueError(f"{self.model.name}: derivatives are told of equal steps; leave out --restart and --rtol")
+        """As of `Monolithic`; ValueError with state events, behind which parts of steps would be damped."""
+        if self.model.events is not None:
+            raise ValueError(
+                f"{self.model.name}: derivatives through state events are told of steps that are not damped; leave out "
+                "--restart, or the derivatives"
+            )
+        made = super().companion(scheme)
+        require_derived(made.model)
+        return made
+
+    def model_of(self, instance: Any) -> Model:
+        """The model of the instance, or of a companion."""
+        return self.model if instance is self.instance else instance.model
+
+    def kept(self) -> Any:
+        """What is known of the steps so far, which `back` goes back to."""
+        raise NotImplementedError
+
+    def back(self, kept: Any) -> None:
+        """To what was known of the steps before."""
+        raise NotImplementedError
+
+    def taken(self, instance: Any, t0: float, h: float, n: int, first: int = 0) -> Steps:
+        """As of `Monolithic`; what is known of steps of a companion counts once the instance goes on from it (`follow`)."""
+        if instance is self.instance:
+            return super().taken(instance, t0, h, n, first)
+        before = self.kept()
+        steps = super().taken(instance, t0, h, n, first)
+        self._tried = self.kept()
+        self.back(before)
+        return steps
+
+    def follow(self, instance: Any, other: Any) -> None:
+        super().follow(instance, other)
+        if instance is self.instance and self._tried is not None:
+            self.back(self._tried)
+        self._tried = None
 
     def advance_with(self, inputs: Sequence[tuple[int, Event]], t0: float, h: float, n: int, first: int = 0) -> Steps:
         """As of `Monolithic`; ValueError where an input changes that is derived by."""
@@ -175,12 +216,7 @@ class DerivedSteps(Monolithic):
     def _require_constant(self, names: Sequence[str]) -> None:
         """ValueError where names that change, or follow data, are derived by."""
         followed = () if self.followed is None else self.followed.names
-        for name in dict.fromkeys([*names, *followed]):
-            if clash := self.by.among(name):
-                raise ValueError(
-                    f"{self.model.name}: {clash[0]} is set within the run, by an event or by data, so that there is no one "
-                    "value of it to be derived by"
-                )
+        self.by.require_constant(self.model.name, [*names, *followed])
 
     # -- steps with state events -------------------------------------------------------------------------------------
 

@@ -22,9 +22,10 @@ from numpy.typing import NDArray
 from phfmu.declare.parameter_limits import limits
 from phfmu.derivatives.between import Between
 from phfmu.derivatives.fit_journal import Journal, Kept, digest
+from phfmu.derivatives.gradient import forward_of
 from phfmu.derivatives.measured import TIME
-from phfmu.derivatives.sensitive import SensitiveSteps
 from phfmu.discretise.model import Model
+from phfmu.network.network import Network
 from phfmu.outcome.status import StepFailure
 from phfmu.results.table import Table
 from phfmu.runs.loop import run
@@ -84,7 +85,7 @@ class Fit:
 
 
 def fit(
-    model: Model,
+    model: Model | Network,
     instance: Any,
     experiments: Sequence[Experiment],
     free: Sequence[str],
@@ -99,6 +100,7 @@ def fit(
 ) -> Fit:
     """Values of `free` (parameters, start values, held inputs) with which runs come closest to measurements of `measure`.
 
+    instance: of the model, or a `Coupled` of the network for members stepped apart
     weights: signal -> standard deviation (default: the largest size of its data);  bounds: name -> least and largest value
     tries: so many starts, drawn around the first, of which the best fit is kept
     loss: of SciPy (linear, soft_l1, huber, cauchy, arctan);  progress: called with the number of runs and the residual
@@ -131,7 +133,7 @@ class _Problem:
 
     def __init__(
         self,
-        model: Model,
+        model: Model | Network,
         instance: Any,
         experiments: Sequence[Experiment],
         free: Sequence[str],
@@ -140,14 +142,15 @@ class _Problem:
     ):
         if not experiments:
             raise ValueError("a fit needs measurements of one experiment at least")
-        self.stepper = SensitiveSteps(model, instance, free, list(measure))
-        self.model, self.free, self.experiments = model, self.stepper.by.names, experiments
-        self.measure = [q.name for q in self.stepper.derived]
+        self.stepper = forward_of(model, instance, free, list(measure))
+        self.model, self.free, self.experiments = self.stepper.model, self.stepper.by.names, experiments
+        self.measure = self.stepper.derived_names
         if lost := [m for m in measure if m not in self.measure]:
             from phfmu.words import meant
 
             plain = self.stepper.names[: len(self.stepper.names) - len(self.measure) * len(self.free)]
             raise KeyError(f"{model.name} has no signal '{lost[0]}' to measure; {meant(lost[0], plain)}")
+        model = self.model
         d = model.declaration
         known = {n: x for v in (*d.parameters, *d.states) for n, x in zip(v.names(), v.start, strict=True)}
         inputs = [n for p in d.ports if p.external for n in p.input_names()]

@@ -16,6 +16,9 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from phfmu.declare.phdae import PHDAE
+from phfmu.derivatives.apart.sensitive_members import SensitiveMembers
+from phfmu.derivatives.apart.taped_members import TapedMembers
 from phfmu.derivatives.by import By
 from phfmu.derivatives.measured import TIME, RunMeasure, run_measures
 from phfmu.derivatives.sensitive import SensitiveSteps
@@ -23,7 +26,9 @@ from phfmu.derivatives.tangents import require_derived
 from phfmu.derivatives.taped import MEMORY, TapedSteps
 from phfmu.discretise.model import Model
 from phfmu.engine.native.native import NativeInstance
+from phfmu.network.couplings.coupled import Coupled
 from phfmu.network.members.columns import Columns
+from phfmu.network.network import Network
 from phfmu.runs.loop import run
 from phfmu.runs.options import Options
 from phfmu.signals import derivative_name
@@ -34,6 +39,10 @@ Mode = Literal["auto", "forward", "reverse"]
 #: what goes forward costs, in measures that go backwards in compiled code (measured on smib and ladder): the linearisations of a
 #: run, which NumPy solves, and each name
 LINEARISED, NAMED = 50, 2
+
+#: steps with derivatives, of one composed model or of members stepped apart
+Forward = SensitiveSteps | SensitiveMembers
+Backwards = TapedSteps | TapedMembers
 
 
 @dataclass(frozen=True)
@@ -56,7 +65,7 @@ class Gradient:
 
 
 def gradient(
-    model: Model,
+    model: Model | Network,
     instance: Any,
     options: Options,
     of: Sequence[str | RunMeasure],
@@ -68,14 +77,15 @@ def gradient(
 ) -> Gradient:
     """Derivatives of measures `of` a run (`max(gen.w)`, `integral(line.i^2)`, `energy.dissipated@end`) by the names `by`.
 
+    instance:  of the model, or a `Coupled` of the network for members stepped apart
     options:  of the run, with its events;  inputs: data over time, as of `run`
     mode:  forward (tangents), reverse (adjoint, native instances), or auto, the one that costs less
     memory:  bytes that the tape may take backwards; stretches of steps beyond it are run twice
     Errors: ValueError for measures that are none, or have no derivative (the time of an extreme is that of a row); those of
-    `SensitiveSteps`; NoDerivative, with its time.
+    `SensitiveSteps` and `SensitiveMembers`; NoDerivative, with its time.
     """
-    wanted = run_measures(of, Columns(model, instance.layout).names)
-    names = By.of(model.declaration, by).names
+    wanted = run_measures(of, told_by(model, instance))
+    names = By.of(_composed(model), by).names
     chosen = chosen_mode(mode, instance, len(wanted), len(names))
     found = measured(stepper_of(chosen, model, instance, by, wanted, memory), options, wanted, inputs)
     slopes = found.slopes([m.weights(found.time, found.columns) for m in wanted])
@@ -87,7 +97,7 @@ def gradient(
 class Measured:
     """A run by a stepper with derivatives: times and columns of its rows that are measured."""
 
-    stepper: TapedSteps | SensitiveSteps
+    stepper: Forward | Backwards
     time: Array
     columns: dict[str, Array]
     #: by signal, of forward steps: the derivatives of its rows (rows x names)
@@ -99,7 +109,7 @@ class Measured:
 
     def slopes(self, weights: Sequence[dict[str, Array]]) -> Array:
         """Derivatives (n x names) of n numbers of the run with weights by signal and row."""
-        if isinstance(self.stepper, TapedSteps):
+        if isinstance(self.stepper, Backwards):
             return self.stepper.slopes(weights)
         n = len(self.stepper.by.names)
         own = [{s: c for s, c in w.items() if s in self.along} for w in weights]
@@ -108,30 +118,62 @@ class Measured:
 
 
 def stepper_of(
-    chosen: str, model: Model, instance: Any, by: Sequence[str], of: Sequence[RunMeasure], memory: int = MEMORY
-) -> TapedSteps | SensitiveSteps:
+    chosen: str,
+    model: Model | Network,
+    instance: Any,
+    by: Sequence[str],
+    of: Sequence[RunMeasure],
+    memory: int = MEMORY,
+) -> Forward | Backwards:
     """Steps whose runs tell measures and their derivatives, the way that was chosen."""
     signals = _signals(of)
     if chosen == "forward":
-        return SensitiveSteps(model, instance, by, signals)
+        return forward_of(model, instance, by, signals)
+    if isinstance(instance, Coupled):
+        return TapedMembers(instance, by, signals)
+    model = _model(model)
     require_derived(model)
     taped = TapedSteps(model, instance, by, memory)
     taped.needs(signals)
     return taped
 
 
-def measured(
-    stepper: TapedSteps | SensitiveSteps, options: Options, of: Sequence[RunMeasure], inputs: Any = None
-) -> Measured:
+def measured(stepper: Forward | Backwards, options: Options, of: Sequence[RunMeasure], inputs: Any = None) -> Measured:
     """The run of a stepper that was made for these measures."""
     signals, names = _signals(of), stepper.by.names
-    wanted = signals if isinstance(stepper, TapedSteps) else stepper.columns
+    wanted = signals if isinstance(stepper, Backwards) else stepper.columns
     found = run(stepper, replace(options, every=None, signals=wanted), inputs=inputs)
     along = {}
-    if not isinstance(stepper, TapedSteps):
+    if not isinstance(stepper, Backwards):
         moved = [TIME] if stepper.model.events is not None else []
         along = {s: np.column_stack([found.column(derivative_name(s, n)) for n in names]) for s in moved + signals}
     return Measured(stepper, found.time, {n: found.column(n) for n in signals}, along)
+
+
+def told_by(model: Model | Network, instance: Any) -> list[str]:
+    """The columns of a run."""
+    return instance.names if isinstance(instance, Coupled) else Columns(_model(model), instance.layout).names
+
+
+def forward_of(model: Model | Network, instance: Any, by: Sequence[str], signals: Sequence[str]) -> Forward:
+    """Steps with derivatives of these signals beside them."""
+    if isinstance(instance, Coupled):
+        return SensitiveMembers(instance, by, signals)
+    return SensitiveSteps(_model(model), instance, by, signals)
+
+
+def _model(model: Model | Network) -> Model:
+    """ValueError for a network, which is stepped by no instance."""
+    if isinstance(model, Network):
+        raise ValueError(
+            f"{model.name} is a network; give it with a Coupled of its members, or the model of its compose()"
+        )
+    return model
+
+
+def _composed(model: Model | Network) -> PHDAE:
+    """The declaration of the whole; ConnectionError names units."""
+    return model.compose() if isinstance(model, Network) else model.declaration
 
 
 def _signals(of: Sequence[RunMeasure]) -> list[str]:
@@ -142,6 +184,8 @@ def chosen_mode(mode: Mode, instance: Any, measures: int, names: int) -> str:
     """Forward or reverse, what costs less if it is open; ValueError where a mode is none, or has no code."""
     if mode not in get_args(Mode):
         raise ValueError(f"mode '{mode}': expected {', '.join(get_args(Mode))}")
+    if isinstance(instance, Coupled):  # both ways in NumPy, over the same linearisations
+        return mode if mode != "auto" else "reverse" if measures < names else "forward"
     native = isinstance(getattr(instance, "present", instance), NativeInstance)
     if mode == "reverse" and not native:
         raise ValueError("derivatives go backwards in compiled code only; take a NativeInstance, or mode forward")

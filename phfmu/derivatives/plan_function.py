@@ -36,6 +36,8 @@ TOGETHER = (512, 64, 8, 1)
 #: evaluated so often, expressions of so many operations are worth compiling
 OFTEN, LONG = 4_000, 300
 
+ALL = slice(None)
+
 
 @dataclass(frozen=True)
 class Point:
@@ -47,21 +49,36 @@ class Point:
     p: Array
     h: Array
 
+    @property
+    def arguments(self) -> tuple[Array, ...]:
+        return self.x, self.w, self.u, self.p, self.h[:, None]
+
 
 @dataclass(frozen=True)
 class Response:
-    """Per point: dw (n x nw x nx + directions), the derivative of what is told (n x told x nx + directions); where instants move
-    two more columns, by t and h."""
+    """Per point: dw (n x nw x columns), the derivative of what is told (n x told x columns); columns are states, directions,
+    inputs at single nodes, and where instants move t and h."""
 
     w: Array
     told: Array
 
 
 class PlanFunction:
-    """F and T of a plan; `told` chooses from `Rows` what T is.  `moves`: derivatives by t and h follow those by directions."""
+    """F and T of a plan; `told` chooses from `Rows` what T is.
 
-    def __init__(self, plan: Plan, told: Callable[[Rows], ca.SX], directions: Directions, moves: bool = False):
-        self.plan, self._rows, self._moves = plan, Rows(plan), moves
+    nodes: places of inputs at single nodes (of k nu), by which there are derivatives behind those by directions;  moves: those
+    by t and h come last
+    """
+
+    def __init__(
+        self,
+        plan: Plan,
+        told: Callable[[Rows], ca.SX],
+        directions: Directions,
+        moves: bool = False,
+        nodes: Sequence[int] = (),
+    ):
+        self.plan, self._rows, self._moves, self._nodes = plan, Rows(plan), moves, list(nodes)
         self._told, self._directions = told(self._rows), directions
         self.ntold = self._told.numel()
 
@@ -71,31 +88,32 @@ class PlanFunction:
         return [r.x, r.w, r.u, r.p, r.h]
 
     @cached_property
-    def _along(self) -> _Mapped:
+    def _along(self) -> Mapped:
         r, plan, d = self._rows, self.plan, self._directions
         held = [ca.vertcat(*(r.u[i * plan.nu + j] for i in range(plan.k))) for j in d.inputs]
 
         def by(expr: ca.SX) -> ca.SX:
             columns = [ca.jacobian(expr, r.x[: plan.nx]), ca.jacobian(expr, r.p[list(d.parameters)])]
             columns += [ca.sum2(ca.jacobian(expr, u)) for u in held]
+            columns += [ca.jacobian(expr, r.u[self._nodes])] if self._nodes else []
             columns += [ca.jacobian(expr, v) for v in (r.x[plan.nx], r.h)] if self._moves else []
             return ca.horzcat(*columns)
 
         F, T = r.residual, self._told
-        return _Mapped(self._arguments, [ca.jacobian(F, r.w), by(F), ca.jacobian(T, r.w), by(T)])
+        return Mapped(self._arguments, [ca.jacobian(F, r.w), by(F), ca.jacobian(T, r.w), by(T)])
 
     @cached_property
-    def _residual(self) -> _Mapped:
-        return _Mapped(self._arguments, [self._rows.residual, ca.jacobian(self._rows.residual, self._rows.w)])
+    def _residual(self) -> Mapped:
+        return Mapped(self._arguments, [self._rows.residual, ca.jacobian(self._rows.residual, self._rows.w)])
 
     def response(self, at: Point) -> Response:
         """Derivatives of the solution w at each point, and of what is told of it."""
         plan, n = self.plan, len(at.h)
-        width = plan.nx + self._directions.n + 2 * self._moves
+        width = plan.nx + self._directions.n + len(self._nodes) + 2 * self._moves
         w, told = np.zeros((n, plan.nw, width)), np.zeros((n, self.ntold, width))
         size = max(1, plan.nw * (min(plan.nw, FULL) + width) + self.ntold * (plan.nw + width))
         for some in _parts(n, max(1, ROOM // size)):
-            A, F, T_w, T = self._along.at(at, some)
+            A, F, T_w, T = self._along.at(at.arguments, some)
             w[some] = -_solved(A, F.full())
             told[some] = T.full() + T_w.times(w[some])
         return Response(w, told)
@@ -109,7 +127,7 @@ class PlanFunction:
         for some in _parts(len(w), max(1, ROOM // self.plan.nw**2)):
             before = np.inf
             for _ in range(most):
-                F, A = self._residual.at(Point(at.x, w, at.u, at.p, at.h), some)
+                F, A = self._residual.at(Point(at.x, w, at.u, at.p, at.h).arguments, some)
                 move = _solved(A, F.full())[:, :, 0]
                 w[some] -= move
                 size = float(np.max(np.abs(move) / np.maximum(scale, 1e-300), initial=0.0))
@@ -156,6 +174,12 @@ class Rows:
         return _total(self.plan.nq, [(i, b * y) for i, b, y, _ in self._pairs()])
 
     @property
+    def outputs_at_nodes(self) -> ca.SX:
+        """Outputs of the pairs that are fed from outside, node by node (k nu)."""
+        plan = self.plan
+        return ca.vertcat(*(self.R[plan.nw + i * plan.nq : plan.nw + i * plan.nq + plan.nu] for i in range(plan.k)))
+
+    @property
     def work(self) -> ca.SX:
         """Energy that enters through each pair in the step (nq)."""
         plan = self.plan
@@ -180,7 +204,9 @@ class Rows:
     @property
     def reported(self) -> ca.SX:
         """Rows that are told beside outputs: observables and residuals of hidden constraints."""
-        return self.R[self.plan.nw + self.plan.nq * self.plan.k :]
+        plan = self.plan
+        first, stop = plan.nw + plan.nq * plan.k, plan.nrow - plan.ncondensed
+        return self.R[first:stop] if first < stop else ca.SX(0, 1)  # CasADi makes a row of nothing behind a single one
 
     @property
     def algebraics(self) -> ca.SX:
@@ -228,7 +254,7 @@ def _total(n: int, parts: Sequence[tuple[int, ca.SX]]) -> ca.SX:
 
 
 @dataclass(frozen=True)
-class _Matrices:
+class Matrices:
     """A sparse matrix at each of n points: entries (n x nnz)."""
 
     shape: tuple[int, int]
@@ -251,17 +277,17 @@ class _Matrices:
         return found
 
 
-class _Mapped:
-    """Expressions of the arguments of a plan at many points."""
+class Mapped:
+    """Expressions of some arguments, at many points."""
 
     def __init__(self, arguments: list[ca.SX], results: list[ca.SX]):
         self._function = ca.Function("at", arguments, ca.cse([ca.SX(r) for r in results]))
         self._buffers: dict[int, Buffered] = {}
         self._points, self._worth = 0, self._function.n_instructions() >= LONG
 
-    def at(self, at: Point, some: slice) -> list[_Matrices]:
-        """The results at some of the points."""
-        given = [a[some] for a in (at.x, at.w, at.u, at.p, at.h[:, None])]
+    def at(self, given: Sequence[Array], some: slice = ALL) -> list[Matrices]:
+        """The results at some of the points, of which `given` has the arguments (n x entries)."""
+        given = [values[some] for values in given]
         self._points += len(given[0])
         if self._worth and self._points > OFTEN:
             self._function, self._worth = compiled(self._function), False
@@ -281,7 +307,7 @@ class _Mapped:
         for i, values in enumerate(found):
             sparsity = f.sparsity_out(i)
             row, col = (np.array(t, np.intp) for t in sparsity.get_triplet())
-            matrices.append(_Matrices(sparsity.shape, row, col, values))
+            matrices.append(Matrices(sparsity.shape, row, col, values))
         return matrices
 
     def _buffer(self, n: int) -> Buffered:
@@ -297,7 +323,7 @@ def _parts(n: int, most: int) -> list[slice]:
     return [slice(i, min(i + most, n)) for i in range(0, n, most)]
 
 
-def _solved(A: _Matrices, b: Array) -> Array:
+def _solved(A: Matrices, b: Array) -> Array:
     """A^-1 b at each point, rows scaled, with one step of refinement."""
     if not A.shape[0] or not b.shape[2]:
         return np.zeros_like(b)
@@ -314,7 +340,7 @@ def _solved(A: _Matrices, b: Array) -> Array:
     return found + np.linalg.solve(full, b - np.matmul(full, found))
 
 
-def _solved_sparse(A: _Matrices, values: Array, b: Array) -> Array:
+def _solved_sparse(A: Matrices, values: Array, b: Array) -> Array:
     from scipy.sparse import csc_matrix
     from scipy.sparse.linalg import splu
 

@@ -40,6 +40,11 @@ class SensitiveSteps(DerivedSteps):
         self._row = np.zeros(0)
 
     @property
+    def derived_names(self) -> list[str]:
+        """The signals that are derived."""
+        return [q.name for q in self.derived]
+
+    @property
     def columns(self) -> list[str]:
         """Derivatives of the times of rows where they move, and the signals that are derived, each followed by its own."""
         return self._times + [
@@ -54,9 +59,9 @@ class SensitiveSteps(DerivedSteps):
         own = super().units
         d = self.model.declaration
         given = super().units | {n: v.unit for v in (*d.parameters, *d.states) for n in v.names()}
-        moved = {m: _quotient("s", given.get(n, "1")) for m, n in zip(self._times, self.by.names, strict=False)}
+        moved = {m: quotient("s", given.get(n, "1")) for m, n in zip(self._times, self.by.names, strict=False)}
         return (own | moved) | {
-            derivative_name(q.name, n): _quotient(own.get(q.name, "1"), given.get(n, "1"))
+            derivative_name(q.name, n): quotient(own.get(q.name, "1"), given.get(n, "1"))
             for q in self.derived
             for n in self.by.names
         }
@@ -104,12 +109,22 @@ class SensitiveSteps(DerivedSteps):
         starts = np.asarray(t0 + h * (first + np.arange(n)), np.float64)
         return self._with_derivatives(instance, r, starts, h, u, inputs)
 
+    def kept(self) -> Any:
+        return self._tangents.kept(), self._last, self._row
+
+    def back(self, kept: Any) -> None:
+        tangents, self._last, self._row = kept
+        self._tangents.back(tangents)
+
     def _with_derivatives(
         self, instance: Any, r: dict[str, Array], t: Array, h: float, u: Array, inputs: Array | None
     ) -> Steps:
         """The record of steps from the times t, with the derivatives of their rows; `u`: inputs that are held throughout."""
         assert self._last is not None
-        steps = Taken.recorded(self.model, instance, r, t, h, self._last, u if inputs is None else np.asarray(inputs))
+        model = self.model_of(instance)
+        steps = Taken.recorded(model, instance, r, t, h, self._last, u if inputs is None else np.asarray(inputs))
+        if self.model.events is None:
+            self._tangents.enter(model, None)
         rows = self._derived(self._tangents.over(steps))
         self._last, self._row = steps.after[-1].copy(), rows[-1]
         found = self.steps_of(instance, r)
@@ -147,6 +162,6 @@ class SensitiveSteps(DerivedSteps):
         return steps, row
 
 
-def _quotient(over: str, under: str) -> str:
+def quotient(over: str, under: str) -> str:
     """The unit of a derivative."""
     return over if under == "1" else f"{'1' if over == '1' else over}/({under})"

@@ -140,6 +140,15 @@ class Tangents:
         sizes = {"energy": step.nq, "dissipated": step.ncomp}
         self._sums = {name: np.zeros((size, n)) for name, size in sizes.items() if name in self._of_step}
 
+    def kept(self) -> tuple[Any, ...]:
+        """Where they are, which `back` goes back to."""
+        return self.S, self.T, dict(self._sums)
+
+    def back(self, kept: tuple[Any, ...]) -> None:
+        """To where they were."""
+        self.S, self.T, sums = kept
+        self._sums = dict(sums)
+
     def cut(self, names: Sequence[str]) -> None:
         """Values of parameters or inputs that are set from now on do not follow those of the start."""
         for own in (n for name in names for n in self.by.among(name)):
@@ -285,7 +294,7 @@ def require_smooth(model: Model) -> None:
 def require_derived(model: Model) -> None:
     """ValueError for what runs have no tangents of."""
     d = model.declaration
-    if model.step.carries or model.loses_energy:
+    if model.step.carries:
         raise ValueError(
             f"{d.name}: scheme {model.scheme.name} has no derivatives here; take --scheme collocated or two-level"
         )
@@ -327,6 +336,16 @@ def _followed(S: Array, A: Array, B: Array) -> Array:
 
 def _told(what: Mapping[str, Callable[[Rows], ca.SX]], rows: Rows) -> ca.SX:
     return ca.vertcat(ca.SX(0, 1), *(told(rows) for told in what.values()))
+
+
+def told_of_step(rows: Rows) -> ca.SX:
+    """All blocks that are told of a step."""
+    return _told(TOLD_OF_STEP, rows)
+
+
+def told_of_instant(rows: Rows) -> ca.SX:
+    """All blocks that are told at an instant."""
+    return _told(TOLD_OF_INSTANT, rows)
 
 
 def places(names: Sequence[str], sizes: Sequence[int]) -> dict[str, slice]:

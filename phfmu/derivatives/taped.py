@@ -76,10 +76,18 @@ class TapedSteps(DerivedSteps):
         call = self._called(Call(instance.get_state(), Grid(t0, h, n, first), given, None))
         starts = np.asarray(t0 + h * (first + np.arange(n)), np.float64)
         leg = self._leg(call, starts, np.full(n, h), self._inputs.u.copy(), instance.parameters.copy())
+        leg.damped = None if instance is self.instance else instance
         record, leg.kept = self._take(call, self.wanted(instance))
         leg.end = self._last = instance.x[: self.model.step.nx].copy()
         self._forget()
         return self.steps_of(instance, record)
+
+    def kept(self) -> Any:
+        return list(self.legs), list(self.calls), self._last
+
+    def back(self, kept: Any) -> None:
+        legs, calls, self._last = kept
+        self.legs, self.calls = list(legs), list(calls)
 
     def _called(self, call: Call) -> Call:
         self.calls.append(call)
@@ -122,7 +130,7 @@ class TapedSteps(DerivedSteps):
     def take_again(self, call: Call, instants: bool = False) -> None:
         """The parts of the steps of a call once more; with `instants` values at the ends of its steps too."""
         self.again += 1
-        instance = self.instance
+        instance = self.instance if call.legs[0].damped is None else call.legs[0].damped
         instance.set_state(call.state)
         if call.changed is None:
             call.legs[0].kept = self._take(call, ("signals",) if instants else ())[1]
@@ -136,7 +144,8 @@ class TapedSteps(DerivedSteps):
 
     def _take(self, call: Call, wanted: tuple[str, ...]) -> tuple[dict[str, Array], Kept]:
         """The steps of a call without events, from its state on."""
-        instance, grid = self.instance, call.grid
+        damped, grid = call.legs[0].damped, call.grid
+        instance = self.instance if damped is None else damped
         room = grid.n + 16
         while True:
             with NativeTape(instance, room) as tape:

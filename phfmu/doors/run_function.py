@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from phfmu.derivatives.gradient import Measured, Mode, chosen_mode, measured, stepper_of
+from phfmu.derivatives.gradient import Backwards, Measured, Mode, chosen_mode, measured, stepper_of, told_by
 from phfmu.derivatives.measured import RunMeasure, run_measures
-from phfmu.derivatives.taped import MEMORY, TapedSteps
+from phfmu.derivatives.taped import MEMORY
 from phfmu.discretise.model import Model
 from phfmu.doors.function import Block
-from phfmu.network.members.columns import Columns
+from phfmu.network.network import Network
 from phfmu.runs.options import Options
 
 Array = NDArray[np.float64]
@@ -29,6 +29,7 @@ class RunFunction:
     """Measures `of` a run (m) as a function of the values theta (n) of the names `by`: `f(theta)`, `f.jacobian(theta)`.
 
     The last run is kept, so that values and derivatives at one theta cost one run.
+    instance:  of the model, or a `Coupled` of the network for members stepped apart
     options:  of the run, with its events, of which none may set what it is derived by;  inputs: data over time, as of `run`
     mode, memory: as of `gradient`
     Errors: those of `gradient`, at once; ValueError for an event that sets one of the names; of calls: StepFailure, NoDerivative.
@@ -36,7 +37,7 @@ class RunFunction:
 
     def __init__(
         self,
-        model: Model,
+        model: Model | Network,
         instance: Any,
         options: Options,
         of: Sequence[str | RunMeasure],
@@ -47,7 +48,7 @@ class RunFunction:
         memory: int = MEMORY,
     ):
         self.name = model.name
-        self._of = run_measures(of, Columns(model, instance.layout).names)
+        self._of = run_measures(of, told_by(model, instance))
         # one measure for each row: backwards in code, or forward
         chosen = chosen_mode(mode, instance, len(self._of), len(by))
         self._stepper = stepper_of(chosen, model, instance, by, self._of, memory)
@@ -61,7 +62,7 @@ class RunFunction:
                 )
         self.inputs = (Block("theta", own.names),)
         self.outputs = (Block("y", tuple(map(str, self._of))),)
-        d = model.declaration
+        d = self._stepper.model.declaration
         known = {n: v for x in (*d.parameters, *d.states) for n, v in zip(x.names(), x.start, strict=True)}
         known |= self._stepper.inputs()
         self.start = (np.array([known[n] for n in own.names], float),)
@@ -94,7 +95,7 @@ class RunFunction:
         bar = np.asarray(bars[0], float)
         with self._lock:
             found, key = self._run(arguments[0]), self._key(arguments[0])
-            if not isinstance(self._stepper, TapedSteps) or (self._slopes is not None and self._slopes[0] == key):
+            if not isinstance(self._stepper, Backwards) or (self._slopes is not None and self._slopes[0] == key):
                 return (self.jacobian(arguments[0]).T @ bar,)
             own = [m.weights(found.time, found.columns) for m in self._of]
             weights = [_joined(own, column) for column in bar.reshape(len(bar), -1).T]

@@ -81,6 +81,11 @@ class Instance(Signals):
 
     @property
     @abstractmethod
+    def solves(self) -> int:
+        """In how many parts the last step was solved; 0: none, or more than are known."""
+
+    @property
+    @abstractmethod
     def counts(self) -> dict[str, int]:
         """Counters of the solver since the reset: steps, solves, iterations, restarts, line_searches, substeps, ..."""
 

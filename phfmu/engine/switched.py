@@ -170,6 +170,10 @@ class SwitchedInstance(Signals):
         return self.present.x
 
     @property
+    def solves(self) -> int:
+        return self.present.solves
+
+    @property
     def unknowns(self) -> Array:
         """w of the last solve, of the plan of the present mode."""
         return self.present.unknowns

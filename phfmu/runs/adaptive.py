@@ -88,7 +88,7 @@ class Adaptive:
         k, lossy, p = model.step.k, model.loses_energy, model.scheme.order
         #: equal steps of a span, and the part of the difference that is their error
         self.parts, self.share = (2, 1.0 / (2**p - 1)) if model.scheme.two_level else (1, 1.0)
-        self.other = stepper.companion(model.scheme if self.parts > 1 else Collocated(k) if lossy else Radau(k))
+        self.other = stepper.measuring(model.scheme if self.parts > 1 else Collocated(k) if lossy else Radau(k))
         self.order = min(p, self.other.model.scheme.order) + 1
         power = max(1.0, self.order / model.scheme.order)
         self.rtol, self.atol = rtol**power, (rtol if options.atol is None else options.atol) ** power

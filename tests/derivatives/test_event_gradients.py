@@ -231,5 +231,5 @@ def test_piles_and_close_orders_are_told(mode: str) -> None:
 
 def test_a_change_by_data_is_no_value() -> None:
     d, model, options = of_case("buffer", 2)
-    with pytest.raises(ValueError, match=r"derivatives are told of equal steps; leave out --restart and --rtol"):
+    with pytest.raises(ValueError, match=r"derivatives are told of equal steps; leave out --rtol"):
         gradient(model, instance_of(model), Options(stop=0.1, step=0.01, rtol=1e-6), ["last(body.q)"], ["body.e"])

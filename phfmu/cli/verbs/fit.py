@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from phfmu.cli.one_model import OneModel
+    from phfmu.cli.one_model import MembersApart, OneModel
     from phfmu.derivatives.fit import Experiment, Fit
 
 LOSSES = ("linear", "soft_l1", "huber", "cauchy", "arctan")
@@ -38,6 +38,8 @@ def add_parser(verbs: Any) -> None:
     parser.add_argument("--loss", default="linear", choices=LOSSES, help="how residuals count (default: their squares)")
     parser.add_argument("--stop", type=float, help="stop time in s (default: after the last measurement)")
     add_one_model(parser)
+    parser.add_argument("--coupling", default="monolithic", choices=("monolithic", "newton", "anderson"),
+                        help="of the members of a network that are stepped apart (default: as one composed model)")  # fmt: skip
     parser.add_argument("--input", metavar="FILE", help="input values over time, as of phfmu run")
     parser.add_argument("--interpolate", default="held", choices=tuple(INTERPOLATIONS), help="as of phfmu run")
     parser.add_argument("--plot", metavar="FILE", help="picture of data, fit and residuals, X.png or X.html")
@@ -52,7 +54,7 @@ def add_parser(verbs: Any) -> None:
 
 def call(args: argparse.Namespace) -> int:
     from phfmu.cli.codes import FINE
-    from phfmu.cli.one_model import one_model
+    from phfmu.cli.one_model import members_apart, one_model
     from phfmu.cli.progress import Line
     from phfmu.cli.sensitivity import listed
     from phfmu.derivatives.fit import fit
@@ -64,7 +66,7 @@ def call(args: argparse.Namespace) -> int:
         from phfmu.report.picture.draw import check_picture
 
         check_picture(args.plot, "--plot")
-    one = one_model(args)
+    one = one_model(args) if args.coupling == "monolithic" else members_apart(args, args.coupling)
     experiments = _experiments(args, one)
     instance = one.instance(100.0 * max(e.options.stop / e.options.step for e in experiments))
     with Signals() as signals, Line() as line:
@@ -118,7 +120,7 @@ def _bounds(items: list[str]) -> dict[str, tuple[float, float]]:
     return found
 
 
-def _experiments(args: argparse.Namespace, one: OneModel) -> list[Experiment]:
+def _experiments(args: argparse.Namespace, one: OneModel | MembersApart) -> list[Experiment]:
     from math import ceil
 
     from phfmu.cli.sensitivity import listed
@@ -129,7 +131,7 @@ def _experiments(args: argparse.Namespace, one: OneModel) -> list[Experiment]:
     from phfmu.runs.options import Options
 
     step = one.step
-    events, inputs, _ = timeline(args, one.scene, one.model.declaration.settable_names())
+    events, inputs, _ = timeline(args, one.scene, one.scene.declaration().settable_names())
     found = []
     for text in [args.data, *args.experiment]:
         path, _, given = text.partition(":") if text is not args.data else (text, "", "")

@@ -76,7 +76,7 @@ def _add_outputs(parser: argparse.ArgumentParser) -> None:
                         help="columns to keep, by name or pattern ('gen.*'); may be repeated (default: all)")  # fmt: skip
     parser.add_argument("--sensitivity", metavar="NAME,NAME",
                         help="columns d(SIGNAL)/d(NAME): derivatives by parameters, start values or held inputs; one composed "
-                        "model without state events, equal steps")  # fmt: skip
+                        "model, or members stepped apart by newton coupling; equal steps")  # fmt: skip
     parser.add_argument("--every", metavar="N|TIMEs",
                         help="rows to keep: every Nth, or one each 0.01s; the last row stays (default: all)")  # fmt: skip
     parser.add_argument(

@@ -45,7 +45,7 @@ class Occurrence:
 class Leg:
     """n steps: starts and lengths (n), how they were taken, rows `first_row`.. of the run, states at the end, what was set after
     them.  `occurrence`: what happened at its end;  `moves`: its start is the instant of an event, and follows from values;
-    mode: of ideal switches."""
+    mode: of ideal switches;  damped: the companion that took it, None where the instance did."""
 
     starts: Array
     sizes: Array
@@ -60,6 +60,7 @@ class Leg:
     occurrence: Occurrence | None = None
     moves: bool = False
     mode: Mode | None = None
+    damped: Any = None
 
     @property
     def n(self) -> int:

@@ -36,7 +36,7 @@ class WayBack:
         self, run: DerivedSteps, bars: RunBars, total: int, mode: Mode | None, again: Callable[[Call, bool], None]
     ):
         self._run, self._bars, self._total, self._maps, self._again = run, bars, total, run.maps, again
-        self._backs: dict[tuple[Mode | None, bool], NativeReverse] = {}
+        self._backs: dict[tuple[Mode | None, bool, int], NativeReverse] = {}
         self._mode = mode
         self.back = self._of(self._mode)
         self._nx, self._d = run.model.step.nx, run.by.directions
@@ -45,17 +45,18 @@ class WayBack:
         self._instants: list[tuple[Leg, slice]] = []
         self._free = total
 
-    def _of(self, mode: Mode | None, guard: bool = False) -> NativeReverse:
-        """The way back over steps in a mode, of the measures or of a guard."""
-        if (mode, guard) not in self._backs:
+    def _of(self, mode: Mode | None, guard: bool = False, damped: Any = None) -> NativeReverse:
+        """The way back over steps in a mode, or of a companion, of the measures or of a guard."""
+        key = mode, guard, id(damped)
+        if key not in self._backs:
             instance = self._run.instance if mode is None else self._run.instance.of(mode)[0]
-            n = 1 if guard else self._total
-            self._backs[mode, guard] = NativeReverse(self._run.model_in(mode), instance._made, n)
-        return self._backs[mode, guard]
+            model, instance = (self._run.model_in(mode), instance) if damped is None else (damped.model, damped)
+            self._backs[key] = NativeReverse(model, instance._made, 1 if guard else self._total)
+        return self._backs[key]
 
-    def enter(self, mode: Mode | None) -> None:
-        """Bars go on in a mode."""
-        before, self.back = self.back, self._of(mode)
+    def enter(self, mode: Mode | None, damped: Any = None) -> None:
+        """Bars go on in a mode, or in steps of a companion."""
+        before, self.back = self.back, self._of(mode, damped=damped)
         self._mode = mode
         if before is not self.back:
             for old, new in zip(before.bars.all, self.back.bars.all, strict=True):
@@ -65,7 +66,7 @@ class WayBack:
         """Back over a leg."""
         if leg.occurrence is not None:
             self._happened(leg, leg.occurrence)
-        self.enter(leg.mode)
+        self.enter(leg.mode, leg.damped)
         if not leg.n:
             return
         if leg.kept is None:
@@ -206,7 +207,8 @@ class WayBack:
     def _instant_rows(self, leg: Leg, told: Array, instants: Array, a_end: Array, step: Any) -> None:
         """Bars of values at the ends of steps become bars of the states there, and of the time of the last one."""
         assert leg.kept is not None
-        nx, model, rows = self._nx, self._run.model_in(leg.mode), leg.kept.rows
+        nx, rows = self._nx, leg.kept.rows
+        model = self._run.model_in(leg.mode) if leg.damped is None else leg.damped.model
         last = np.array(model.scheme.nodes.value(1.0)) if model.step.k > 1 else np.ones(1)
         b, tau = self.back.bars, self._tau.copy()
         kept, begins = b.x.copy(), np.searchsorted(step, np.arange(leg.n), "left")

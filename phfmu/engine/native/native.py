@@ -100,6 +100,10 @@ class NativeReadings(Instance):
         return {n: view(self._lib.ph_ledger(self._in, i), sizes[n]).copy() for i, n in enumerate(names)}
 
     @property
+    def solves(self) -> int:
+        return self._lib.ph_solves(self._in)
+
+    @property
     def unknowns(self) -> Floats:
         return view(self._lib.ph_unknowns(self._in), self.model.step.nw).copy()
 

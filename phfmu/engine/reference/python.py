@@ -66,6 +66,10 @@ class PythonReadings(Instance):
         return {k: v.copy() for k, v in self._s.last.items()}
 
     @property
+    def solves(self) -> int:
+        return len(self._s.path)
+
+    @property
     def unknowns(self) -> Array:
         return self._s.w.copy()
 

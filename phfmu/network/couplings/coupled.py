@@ -69,6 +69,8 @@ class Coupled:
         threads: int | None = None,
         signals: SignalExchange = "extrapolated",
     ):
+        #: the coupling, or what makes it of the joined members
+        self.made_by = coupling
         self._threads, self.instead = threads, network.to_compose
         self._signals_are: SignalExchange = signals
         self.joined = Joined(network, members)

@@ -273,6 +273,10 @@ class Monolithic:
         present, model = self.instance, _companion(self.model, scheme)
         return stepped(model, type(present if self.model.modes is None else present.present))
 
+    def measuring(self, scheme: Scheme) -> Any:
+        """A companion that errors of steps of any length are told by."""
+        return self.companion(scheme)
+
     def taken(self, instance: Any, t0: float, h: float, n: int, first: int = 0) -> Steps:
         """n steps of the instance or of a companion."""
         if self.between is None:

@@ -157,6 +157,11 @@ class Master:
         """Name of its solver, less `ph_solver_`."""
         return self._solver.name
 
+    @property
+    def unknowns(self) -> Array:
+        """z = (xi at nodes | impulses at start | at end) of the step that was taken last."""
+        return self._z
+
     def spread(self, xi: Array) -> Array:
         """Values of all columns, those of junctions being xi."""
         return self._solver.spread(xi)

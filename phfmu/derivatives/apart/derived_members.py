@@ -1,0 +1,310 @@
+"""Members stepped apart whose steps are kept to be derived: what both directions need, and refuse."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phfmu.derivatives.apart.joint_maps import JointMaps, JointSteps
+from phfmu.derivatives.apart.member_maps import MemberMaps
+from phfmu.derivatives.by import By
+from phfmu.derivatives.tangents import Tangents, in_parts, of_quantities, require_derived
+from phfmu.discretise.model import Model, build_model
+from phfmu.discretise.start import Projection
+from phfmu.gradients.quadrature import nodes
+from phfmu.network.couplings.anderson import Anderson
+from phfmu.network.couplings.coupled import Coupled
+from phfmu.network.couplings.coupling import Solution
+from phfmu.network.couplings.newton import Newton
+from phfmu.network.couplings.stepper import Landing
+from phfmu.network.couplings.unconverged import Accepting, Halving
+from phfmu.network.members.engine_member import EngineMember
+from phfmu.network.members.member import Member
+from phfmu.network.network import Network
+from phfmu.outcome.steps import Steps
+from phfmu.schemes.scheme import Scheme
+from phfmu.signals import Quantity, of_member, quantities
+
+Array = NDArray[np.float64]
+
+#: steps that are linearised at a time
+AT_ONCE = 256
+
+
+class DerivedMembers(Coupled):
+    """Members stepped apart, whose rows are derived by parameters, held inputs or start values `by`, as `member.name`.
+
+    Where the coupling iterates, the derivative is that of the solution of the interface, to the accuracy of its acceptance.
+    Errors: KeyError for names that are none; ValueError for members, couplings and steps without derivatives, with the remedy.
+    """
+
+    def __init__(self, apart: Coupled, by: Sequence[str]):
+        network, members = apart.joined.network, apart.joined.members
+        _require_engines(network, members)
+        super().__init__(network, members, apart.made_by, apart._threads, apart._signals_are)
+        self.joined.free[:] = apart.joined.free
+        self._require_smooth()
+        self.engines: list[EngineMember] = [m for m in members if isinstance(m, EngineMember)]
+        self.by = By.of(network.compose(), by)
+        own = [self._own(m) for m in self.engines]
+        #: by member, places of its names among all
+        self.at = [
+            [self.by.names.index(of_member(m.name, n)) for n in b.names] for m, b in zip(self.engines, own, strict=True)
+        ]
+        found = self.master.found
+        wired: list[list[int]] = [[] for _ in self.engines]
+        for _, _, target, i in found.wires.tolist():
+            wired[target].append(i)
+        parts = zip(self.engines, found.parts, own, wired, strict=True)
+        self.maps = JointMaps(found, [MemberMaps(*p) for p in parts])
+        #: columns that are no derivatives
+        self.own_names = list(self.names)
+        #: entries of all members, junctions and sums at ends, which columns are made of
+        self.width = len(self.joined.names) + len(self.joined.face.names) + len(self._sums.names)
+        #: of each member's columns; names of those that have derivatives
+        self._quantities = [self._of(m) for m in self.engines]
+        self.derivable = [
+            *(of_member(m.name, q.name) for m, qs in zip(self.engines, self._quantities, strict=True) for q in qs),
+            *self.joined.face.names,
+        ]
+        self.derivable = [n for n in self.own_names if n in {*self.derivable, *self._columns.totals}]
+        self._given = [m.instance.x[: m.model.step.nx].copy() for m in self.engines]
+        self.forget()
+
+    @cached_property
+    def model(self) -> Model:
+        """The same members as one model, which the start is derived by."""
+        return build_model(self.joined.network.compose(), self.engines[0].model.scheme)
+
+    def forget(self) -> None:
+        """What was kept of the steps so far belongs to another run."""
+        self._acts, self._begun = np.ones(len(self.by.names)), False
+
+    @property
+    def sequence(self) -> tuple[tuple[int, ...], ...]:
+        """Numbers of the state events of the run: none."""
+        return ()
+
+    def begin(self, values: Mapping[str, float]) -> None:
+        """Back to the start, with other parameters, start values or held inputs, by scalar name."""
+        self._given = []
+        for m, place in zip(self.engines, self.joined.places, strict=True):
+            d, u = m.model.declaration, m.start_inputs()
+            p, x = m.model.p0.copy(), m.model.x0.copy()
+            kinds = ((d.parameters, p), (d.states, x))
+            for names, to in (*(([n for v in vs for n in v.names()], to) for vs, to in kinds), (m.input_names, u)):
+                for i, n in enumerate(names):
+                    to[i] = values.get(of_member(m.name, n), to[i])
+            m.instance.reset()
+            m.instance.set_parameters(p)
+            m.set_input(u)
+            m.instance.set_x(m.model.t0, x)
+            m.instance.initialise()
+            self.joined.free[place] = u
+            self._given.append(x)
+        self.joined.free[self.joined.face.fed] = 0.0
+        self._sums.forget()
+        self._signals.forget()
+        self.last, self._at_start = Solution(self.joined.face.start.copy()), None
+        self.forget()
+
+    def require_derivable(self, name: str) -> None:
+        """ValueError for a column that has no derivatives."""
+        if name in self.own_names and name not in self.derivable:
+            network = self.joined.network
+            raise ValueError(
+                f"{network.name}: {name} is told at an instant that members stepped apart do not solve, and has no "
+                f"derivative; leave it out, or {network.to_compose}"
+            )
+
+    def _own(self, m: EngineMember) -> By:
+        """The names of a member."""
+        known = m.model.declaration
+        scalars = {n for v in (*known.parameters, *known.states) for n in v.names()}
+        scalars |= {n for p in known.ports if p.external and not p.signal for n in p.input_names()}
+        return By.of(known, [n for n in scalars_in(m.name, self.by.names) if n in scalars])
+
+    def _of(self, m: EngineMember) -> list[Quantity]:
+        known = {q.name: q for q in quantities(m.model)}
+        return [known[n] for n in m.names]
+
+    def _require_smooth(self) -> None:
+        """ValueError for what has no derivatives here."""
+        instead, name = self.joined.network.to_compose, self.joined.network.name
+        if isinstance(self.coupling, Halving | Accepting):
+            raise ValueError(
+                f"{name}: steps that may be halved, or accepted as they are, where the interface does not converge have no "
+                "derivatives; leave out --unconverged and take shorter steps"
+            )
+        if not isinstance(self.coupling, Newton | Anderson):
+            raise ValueError(
+                f"{name}: {type(self.coupling).__name__} steps have no derivatives here: they are told of steps that solve the "
+                f"interface; take --coupling newton, or {instead}"
+            )
+        if self._signals.any_held:
+            held = ", ".join(of_member(w.source, w.output) for w in self._signals.held[:3])
+            raise ValueError(
+                f"{name}: signals that are held over a step ({held}) have no derivatives; {instead}, where they are exact"
+            )
+        for m in self.joined.members:
+            assert isinstance(m, EngineMember)
+            if m.model.events is not None or m.model.modes is not None:
+                raise ValueError(
+                    f"{name}: member '{m.name}' has state events, through which members stepped apart have no "
+                    f"derivatives; {instead}"
+                )
+            if m.parts != 1:
+                raise ValueError(
+                    f"{name}: member '{m.name}' takes {m.parts} steps in one, of which derivatives know the last one only; leave "
+                    f"out --parts, or {instead}"
+                )
+            require_derived(m.model)
+
+    # -- values ----------------------------------------------------------------------------------------------------------
+
+    def set_value(self, name: str, value: float) -> str:
+        kind = super().set_value(name, value)
+        if self._begun and kind == "input":
+            self.by.require_constant(self.joined.network.name, [name])
+        if self._begun:
+            self.cut(name)
+        return kind
+
+    def cut(self, name: str) -> None:
+        """A value that is set within the run does not follow that of the start."""
+        for own in self.by.among(name):
+            i = self.by.names.index(own)
+            if i in self.by.columns:
+                self._acts[i] = 0.0
+
+    def project_start(self, t0: float, kept: Sequence[str] = ()) -> Projection | None:
+        if self._begun:
+            raise ValueError(
+                f"{self.joined.network.name}: states were moved at t = {t0:.9g} s (a projection after an event), which "
+                "derivatives do not follow; let the event keep the constraints"
+            )
+        return super().project_start(t0, kept)
+
+    def kept(self) -> Any:
+        """ValueError: steps that are tried with several sizes have no derivatives."""
+        raise ValueError(f"{self.joined.network.name}: derivatives are told of equal steps; leave out --rtol")
+
+    def companion(self, scheme: Scheme) -> DerivedMembers:
+        """As of `Coupled`, derived too."""
+        made = self.like(super().companion(scheme))
+        self._works.share(made._works)
+        return made
+
+    def like(self, apart: Coupled) -> DerivedMembers:
+        """Other members derived by the same."""
+        raise NotImplementedError
+
+    def go_on(self, other: Any) -> None:
+        """Derivatives go on from those of `other`, whose members are the same under another scheme."""
+        self._acts, self._begun = other._acts, other._begun
+
+    def taken(self, instance: Any, t0: float, h: float, n: int) -> Steps:
+        """As of `Coupled`; derivatives of steps of a companion count once this one goes on from it (`follow`)."""
+        if instance is not self:
+            instance.go_on(self)
+        return instance.advance(t0, h, n)
+
+    def follow(self, instance: Any, other: Any) -> None:
+        super().follow(instance, other)
+        if instance is self:
+            self.go_on(other)
+
+    def land(self, t0: float, h: float, n: int, first: int = 0, changed: bool = True) -> Iterator[Landing]:
+        raise ValueError(f"{self.joined.network.name}: state events of members stepped apart have no derivatives")
+
+    # -- steps -----------------------------------------------------------------------------------------------------------
+
+    def kept_step(self, t0: float, h: float, k: int) -> tuple[Steps, JointSteps]:
+        """Step k of a grid, and what it is derived by."""
+        if self.joined.followed is not None:
+            self.by.require_constant(self.joined.network.name, self.joined.followed.data.names)
+        before = [m.instance.x[: m.model.step.nx].copy() for m in self.engines]
+        given = [self._outside(i, t0, h, k) for i in range(len(self.engines))]
+        steps = super().advance(t0, h, 1, k)
+        z, t, parts = self.master.unknowns.copy(), t0 + k * h, []
+        for m, x, u in zip(self.maps.members, before, given, strict=True):
+            if m.member.instance.solves != 1:
+                raise in_parts(m.member.model, t, h)
+            parts.append(m.stepped(z[m.part.col], u, x, t, h))
+        return steps, JointSteps(parts, z[None])
+
+    def _outside(self, i: int, t0: float, h: float, k: int) -> Array:
+        """Inputs of a member that no junction feeds, at the nodes of step k (k nu)."""
+        place, rule, followed = self.joined.places[i], nodes(self.maps.members[i].part.k), self.joined.followed
+        free = self.joined.free[place]
+        if followed is not None and len(followed.own(place)):
+            return np.ravel(followed.at_nodes(free, place, rule.c, (t0, h, k), 1))
+        return np.tile(free, len(rule.c))
+
+    # -- rows ------------------------------------------------------------------------------------------------------------
+
+    def at_start(self, row: Array) -> tuple[list[Array], Array]:
+        """Tangents (nx x names) of the states of members at the start, and of a row of it (columns x names).
+
+        The start and what follows at its instant are those of the composed model; columns that it does not have are NaN.
+        """
+        model, d = self.model, self.model.declaration
+        now = dict(zip(self.own_names, row.tolist(), strict=True))
+        states = {of_member(m.name, n): v for m in self.engines for n, v in m.states.items()}
+        given = {
+            of_member(m.name, n): v
+            for m, x in zip(self.engines, self._given, strict=True)
+            for n, v in zip(m.states, x.tolist(), strict=True)
+        }
+        parameters = {
+            of_member(m.name, n): v
+            for m in self.engines
+            for n, v in zip(
+                (n for p in m.model.declaration.parameters for n in p.names()), m.instance.parameters, strict=False
+            )
+        }
+        inputs = self.inputs()
+        order = [n for v in d.states for n in v.names()]
+        x, x0 = (np.array([values[n] for n in order]) for values in (states, given))
+        p = _filled(model.p0, [n for v in d.parameters for n in v.names()], parameters)
+        u = _filled(model.u0, [n for q in d.ports if q.external for n in q.input_names()], inputs)
+        known = {q.name: q for q in quantities(model)}
+        a = model.a0.copy()
+        for q in known.values():
+            if q.block == "a_end" and q.name in now:
+                a[q.first] = now[q.name]
+        tangents = Tangents(model, self.by)
+        blocks = tangents.at_start(self.engines[0].instance.time, x0, x, u, p, a)
+        place = {n: i for i, n in enumerate(order)}
+        S = [tangents.S[[place[of_member(m.name, n)] for n in m.states]] for m in self.engines]
+        told = [known.get(n) for n in self.own_names]
+        slopes = np.full((len(self.own_names), len(self.by.names)), np.nan)
+        own = [i for i, q in enumerate(told) if q is not None]
+        slopes[own] = of_quantities([q for q in told if q is not None], blocks, self.by)[0]
+        return S, slopes
+
+
+def scalars_in(member: str, names: Sequence[str]) -> list[str]:
+    """The names of a member's own among those of the whole."""
+    return [n.removeprefix(f"{member}.") for n in names if not member or n.startswith(f"{member}.")]
+
+
+def _filled(values: Array, names: Sequence[str], known: Mapping[str, float]) -> Array:
+    found = values.copy()
+    for i, n in enumerate(names):
+        if n in known:
+            found[i] = known[n]
+    return found
+
+
+def _require_engines(network: Network, members: Sequence[Member]) -> None:
+    """ValueError names units, which have no derivatives here."""
+    if units := [m.name for m in members if not isinstance(m, EngineMember)]:
+        raise ValueError(
+            f"{network.name}: {', '.join(units)}: units do not tell how their states follow their parameters and states, so that "
+            "there are no derivatives through them; take the declarations they were exported from as members"
+        )

@@ -1,0 +1,230 @@
+"""The step of a member as a map, and its derivatives: of its states, of what it tells, and of its rows of the interface.
+
+    (x0, theta, z)  ->  (x1, told, rows),
+
+theta being the parameters and inputs of its own that a run is derived by, z the unknowns of the interface that reach it: values
+at the nodes of its junctions, impulses at start and end.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from phfmu.derivatives.apart.kicks import KickSlopes
+from phfmu.derivatives.by import By
+from phfmu.derivatives.plan_function import PlanFunction, Point, Rows
+from phfmu.derivatives.tangents import OF_INSTANT, OF_STEP, Taken, places, told_of_instant, told_of_step
+from phfmu.network.couplings.compiled.master_pattern import Part
+from phfmu.network.members.engine_member import EngineMember
+from phfmu.schemes.impulses import POINTS
+
+Array = NDArray[np.float64]
+
+#: of `Taken` what there is for each step
+ROWS = ("t", "h", "before", "after", "w", "u", "a_end")
+
+
+@dataclass(frozen=True)
+class MemberSteps:
+    """Steps that a member has taken, its impulses at their starts and ends (n x 2 x kicks), its inputs at their ends (n x nu)."""
+
+    taken: Taken
+    impulses: Array
+    ends: Array
+
+    def some(self, which: slice) -> MemberSteps:
+        """Some of them."""
+        t = self.taken
+        rows = {n: getattr(t, n)[which] for n in ROWS}
+        return MemberSteps(Taken(**rows, p=t.p), self.impulses[which], self.ends[which])
+
+    @staticmethod
+    def joined(steps: list[MemberSteps]) -> MemberSteps:
+        """One after the other, under the same parameters."""
+        parts = [s.taken for s in steps]
+        rows = {n: np.concatenate([getattr(p, n) for p in parts]) for n in ROWS}
+        impulses, ends = (np.concatenate([getattr(s, n) for s in steps]) for n in ("impulses", "ends"))
+        return MemberSteps(Taken(**rows, p=parts[0].p), impulses, ends)
+
+
+@dataclass(frozen=True)
+class Linearised:
+    """Per step the derivatives by [x0 | names | unknowns that reach it]: of x1, of what is told, of outputs at nodes and the end
+    (k nu + nu), and of S0 v before and S1 v after the step (vectors x kicks).  `passed`: derivatives of what is told by the
+    signals that are passed on at the end (told x signals)."""
+
+    x: Array
+    told: Array
+    outputs: Array
+    before: Array
+    after: Array
+    passed: Array
+
+
+class MemberMaps:
+    """A member whose steps have `part` in the interface, derived by names of its own.
+
+    wired: inputs that signals are passed on to at the ends of steps, where they leave their polynomials
+    """
+
+    def __init__(self, member: EngineMember, part: Part, by: By, wired: Sequence[int] = ()):
+        self.member, self.part, self.by, self.wired = member, part, by, list(wired)
+        model, d = member.model, by.directions
+        plan = model.step
+        self.nx, self.names, self.reached = plan.nx, len(by.names), len(part.col)
+        self._feed = self._fed(plan.k)
+        self._nodes = np.flatnonzero(self._feed.any(axis=1)).tolist()
+        last = np.array(model.scheme.nodes.value(1.0)) if plan.k > 1 else np.ones(1)
+        #: of the inputs at the end of a step (nu x unknowns)
+        self._last, self._feed_end = last, np.einsum("k,kuz->uz", last, self._feed.reshape(plan.k, plan.nu, -1))
+        self._fed_end = np.flatnonzero(self._feed_end.any(axis=1)).tolist()
+        #: those of `wired`, as if they were on their polynomials
+        self.polynomial = self._feed_end[self.wired]
+        self._feed_end[self.wired] = 0.0
+        self._step = PlanFunction(plan, _told, d, nodes=self._nodes)
+        self._instant = PlanFunction(model.instant, told_of_instant, d, nodes=self._fed_end)
+        self._U = np.zeros((plan.nx, plan.nw))
+        np.add.at(self._U, (plan.update_x, plan.update_w), plan.update_c)
+        self.of_step = places(OF_STEP, (plan.na, plan.nq, plan.nq, plan.ncomp))
+        instant, start = model.instant, self.of_step["dissipated"].stop
+        sizes = (instant.na, instant.nq, instant.nobs, instant.ncomp)
+        self.of_instant = {n: slice(s.start + start, s.stop + start) for n, s in places(OF_INSTANT, sizes).items()}
+        #: how much is told of a step and at its end
+        self.told = self.of_instant["H"].stop
+        #: impulses at start and end by the unknowns (2 x kicks x unknowns)
+        self.kicks = np.zeros((2, part.kicks, self.reached))
+        n, kicked = len(part.inputs), len(part.kicked)
+        for i, c, value in zip(part.right_direction, part.right_col, part.right, strict=True):
+            if i >= n:
+                side, place = divmod(int(i) - n, kicked)
+                self.kicks[side, part.kicked[place], c] += value
+        #: rows of the interface by outputs at nodes and at the end
+        self.left = np.zeros((len(part.row), part.k * part.nu + part.nu))
+        np.add.at(self.left, (part.left_row, part.left_output), part.left)
+
+    def _fed(self, k: int) -> Array:
+        """Inputs at the k nodes of the member's steps by the unknowns that reach it (k nu x unknowns)."""
+        part = self.part
+        found = np.zeros((part.k * part.nu, self.reached))
+        for i, c, value in zip(part.right_direction, part.right_col, part.right, strict=True):
+            if i < len(part.inputs):
+                found[part.inputs[i], c] += value
+        return np.tile(found, (k, 1)) if part.held else found
+
+    @cached_property
+    def slopes(self) -> KickSlopes:
+        """Of its impulses."""
+        return KickSlopes(self.member.model.declaration, self.by.directions.parameters, 1 + POINTS)
+
+    # -- steps ---------------------------------------------------------------------------------------------------------
+
+    def stepped(self, z: Array, given: Array, before: Array, t: float, h: float) -> MemberSteps:
+        """The step that was taken last, from t and the states `before`; z: the unknowns that reach it, `given`: its inputs from
+        outside at the nodes of the interface (k nu).  ValueError where it was taken in parts."""
+        i, k = self.member.instance, self.member.model.step.k
+        own = np.tile(given, k) if self.part.held else given
+        u = own + self._feed @ z
+        end = self._last @ u.reshape(len(self._last), -1)
+        end[self.wired] = i.held_input[self.wired]
+        row = i.x[: self.nx], i.unknowns, u, i.signal("a_end"), end
+        after, w, u, a_end, end = (np.array(v, float)[None] for v in row)
+        taken = Taken(np.array([t]), np.array([h]), before[None], after, w, u, i.parameters.copy(), a_end)
+        return MemberSteps(taken, (self.kicks @ z)[None], end)
+
+    # -- derivatives -----------------------------------------------------------------------------------------------------
+
+    def at(self, steps: MemberSteps, v: Array, acts: Array) -> Linearised:
+        """Derivatives of steps; v: vectors that S is applied to, before and after each (n x 2 x vectors x kicks); acts: 1 of the
+        names that still act, 0 of those that were set."""
+        t, n, kicks = steps.taken, len(steps.taken.t), self.part.kicks
+        p = np.broadcast_to(t.p, (n, len(t.p)))
+        C = self.nx + self.names + self.reached
+        x, works = t.before, np.zeros((n, kicks, C))
+        X = np.zeros((n, self.nx, C))
+        X[:, np.arange(self.nx), np.arange(self.nx)] = 1.0
+        if kicks:
+            x, X, works = self._kicked(x, X, p, steps.impulses[:, 0], self.kicks[0], acts)
+        found = self._step.response(Point(np.column_stack([x, t.t]), t.w, t.u, p, t.h))
+        W, told = (self._along(f, X, self._feed[self._nodes], acts) for f in (found.w, found.told))
+        X = X + self._U @ W
+        if kicks:
+            star = x + t.w @ self._U.T
+            _, X, more = self._kicked(star, X, p, steps.impulses[:, 1], self.kicks[1], acts)
+            told[:, self.of_step["energy"].start + np.array(self.slopes.pairs, int)] += works + more
+        ends, by_signals = self._at_ends(steps, p, X, acts)
+        stop = self.of_step["dissipated"].stop
+        told, nodes = told[:, :stop], told[:, stop:]
+        outputs = np.zeros((n, self.left.shape[1], C))
+        outputs[:, : self.part.k * self.part.nu] = self._outputs(told, nodes)
+        before = after = np.zeros((n, v.shape[2], kicks, C))
+        if kicks:
+            start = np.zeros_like(X)
+            start[:, np.arange(self.nx), np.arange(self.nx)] = 1.0
+            _, before = self._jumps(t.before, p, v[:, 0], start, acts)
+            y, after = self._jumps(t.after, p, v[:, 1], X, acts)
+            outputs[:, self.part.k * self.part.nu + np.array(self.slopes.pairs, int)] = y
+        passed = np.concatenate([np.zeros((n, stop, len(self.wired))), by_signals], axis=1)
+        return Linearised(X, np.concatenate([told, ends], axis=1), outputs, before, after, passed)
+
+    def _along(self, found: Array, X: Array, feed: Array, acts: Array) -> Array:
+        """By [x0 | names | unknowns] of what has derivatives by states, directions and fed inputs."""
+        nx, d = self.nx, self.by.directions.n
+        out = found[:, :, :nx] @ X
+        out[:, :, nx : nx + self.names] += self.by.spread(found[:, :, nx : nx + d]) * acts
+        out[:, :, nx + self.names :] += found[:, :, nx + d :] @ feed
+        return out
+
+    def _kicked(self, x: Array, X: Array, p: Array, s: Array, to: Array, acts: Array) -> tuple[Array, Array, Array]:
+        """States, their derivatives, and those of the works, after impulses s that the unknowns have `to`."""
+        f, states = self.slopes, self.slopes.states
+        moved, by = f.kick(x, p, s)
+        along = self._by_parameters(by[:, :, : -f.n], X, acts)
+        along[:, :, self.nx + self.names :] += by[:, :, -f.n :] @ to
+        x, X = x.copy(), X.copy()
+        x[:, states] += moved
+        X[:, states] += along[:, : len(states)]
+        return x, X, along[:, len(states) :]
+
+    def _by_parameters(self, by: Array, X: Array, acts: Array) -> Array:
+        """By [x0 | names | unknowns] of what has derivatives by states and parameters."""
+        n, rows = by.shape[:2]
+        own = np.concatenate([by[:, :, self.nx :], np.zeros((n, rows, len(self.by.directions.inputs)))], axis=2)
+        out = by[:, :, : self.nx] @ X
+        out[:, :, self.nx : self.nx + self.names] += self.by.spread(own) * acts
+        return out
+
+    def _jumps(self, x: Array, p: Array, v: Array, X: Array, acts: Array) -> tuple[Array, Array]:
+        y, held = self.slopes.end(x, p, v)
+        n = len(x)
+        return self._by_parameters(y, X, acts), self._by_parameters(held.reshape(n, -1, y.shape[2]), X, acts).reshape(
+            *held.shape[:3], -1
+        )
+
+    def _outputs(self, told: Array, nodes: Array) -> Array:
+        """Outputs as the interface reads them: at nodes, or their means."""
+        if not self.part.held:
+            return nodes
+        first = self.of_step["y_step"].start
+        return told[:, first : first + self.part.nu]
+
+    def _at_ends(self, steps: MemberSteps, p: Array, X: Array, acts: Array) -> tuple[Array, Array]:
+        """Derivatives of what is told at the ends of steps, and those by the signals that are passed on there."""
+        t, plan = steps.taken, self.member.model.instant
+        n = len(t.t)
+        w = np.zeros((n, plan.nw))
+        w[:, plan.mean_w] = t.a_end[:, plan.mean_a]
+        at = Point(np.column_stack([t.after, t.t + t.h]), w, steps.ends, p, np.ones(n))
+        at = Point(at.x, self._instant.solved(at), at.u, at.p, at.h)
+        found, first = self._instant.response(at).told, self.nx + self.by.directions.n
+        signals = found[:, :, [first + self._fed_end.index(i) for i in self.wired]]
+        return self._along(found, X, self._feed_end[self._fed_end], acts), signals
+
+
+def _told(rows: Rows) -> ca.SX:
+    return ca.vertcat(told_of_step(rows), rows.outputs_at_nodes)
