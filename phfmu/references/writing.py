@@ -102,6 +102,9 @@ def add_experiment(path: Path, series: Series, step: float, stop: float) -> None
     unit = unit_file(path)
     told = unit.interface.variables
     columns = {n: c for n, c in series.columns.items() if n in told and told[n].causality in ("output", "local")}
+    for port in unit.port_maps:
+        if port.output_sign < 0:  # it counts out of the unit, and into the model
+            columns |= {n: -columns[n] for n in (*port.outputs, *port.step_outputs) if n in columns}
     values = values_before(unit)
     names = _FILES if values else {k: v for k, v in _FILES.items() if k != "parameters"}
     experiment = Experiment(

@@ -49,7 +49,11 @@ class _Task:
 
 
 def results(subject: Subject) -> Finding:
-    """Each experiment is run, and each parameter set by itself is set; false if one of them is contradicted."""
+    """Each experiment is run, and each parameter set by itself is set; false if one of them is contradicted.
+
+    FMUError where the unit has no library for this machine.
+    """
+    _ = subject.archive.library
     try:
         files = related(subject.path)
         if not files:

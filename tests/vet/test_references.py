@@ -221,6 +221,20 @@ def test_scenes_with_switches_events_and_constraints(scene: str, compiler: None,
     assert found["verdict"] == HOLDS
 
 
+@pytest.mark.parametrize("port", ["a", "b"])
+def test_flows_that_count_outward(port: str, compiler: None, tmp_path: Path) -> None:
+    """The results of a stretched spring have the signs of the unit."""
+    told = []
+    for more in ([], ["--outward", port]):
+        line = ["export", "spring", "-o", str(tmp_path / str(len(more))), "--fmi", "2", "--set", "e=0.3"]
+        assert main([*line, *more, "--reference-experiment"]) == 0
+        (unit,) = (tmp_path / str(len(more))).glob("*.fmu")
+        assert tried(unit).verdict == HOLDS
+        told.append(read_series(read(unit, "results.csv"), "results.csv").columns)
+    turned = {n for n in told[0] if not np.array_equal(told[0][n], told[1][n])}
+    assert f"{port}.force" in turned and all(np.array_equal(told[0][n], -told[1][n]) for n in turned)
+
+
 def test_the_same_bytes_twice(compiler: None, tmp_path: Path) -> None:
     for folder in ("a", "b"):
         assert main(["export", "oscillator", "-o", str(tmp_path / folder), "--fmi", "2", "--reference-experiment"]) == 0
