@@ -193,7 +193,7 @@ def test_one_run_of_particles_ends_with_an_error_and_the_others_go_on(order: int
 
 
 def test_steps_that_are_not_solved_side_by_side(compiler: None) -> None:
-    """Long steps of a chain whose last mass is another: sweeps do not contract in some runs, which then enter less."""
+    """Long steps of a chain whose last mass is far from the others: sweeps do not contract in some runs."""
     of = task(build("chain"), "m[10]", ("max(v[2])",), 2, Options(stop=2.0, step=0.05))
     result = both(of, np.geomspace(1e-2, 1e2, 2 * LANES))
     result.require_same()

@@ -1,4 +1,4 @@
-/* Runs side by side. It comes before all that is compiled for so many of them, as real.h asks for it. */
+/* How many runs are stepped side by side: apart from wide.h, as it is known before real.h is read. */
 #ifndef PH_LANE_WIDTH
 #define PH_LANE_WIDTH 8
 #endif

@@ -74,9 +74,9 @@ void ph_lanes_leave(ph_lanes *lanes) {
         lanes->period[l] = 1;
 }
 
-/* Whether the next step of an instance is one that lanes take. The Schur stepper leaves factors of Newton's
- * method as they are, at rest or not: it is not asked where other constraints rest than it leaves out, and
- * what they miss is looked at run by run. */
+/* Whether the next step of an instance is one that lanes take. The Schur stepper is not asked where other
+ * constraints rest than those that it leaves out, and what constraints at rest miss is looked at run by run.
+ * It leaves factors of Newton's method as they are. */
 static int usual(const ph_lanes *lanes, const ph_instance *in) {
     const ph_system *s = &in->step;
     if (*s->last_h == 0.0 || in->head->parts != 1 || in->head->placed)
