@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.discretise.model import Model, build_model
+from phfmu.discretise.model import build_model
 from phfmu.discretise.within import polynomial_of
 from phfmu.engine.native.native import NativeInstance
 from phfmu.engine.native.native_landing import Lent
@@ -46,7 +46,6 @@ class Everyone:
         self._x, self._p = (
             np.cumsum([0, *(getattr(m.model.step, size) for m in self.members)]).tolist() for size in ("nx", "np")
         )
-        self._polynomials: dict[int, Any] = {}
 
     def gathered(self, what: str) -> Array:
         """`x`, `parameters` or `unknowns` of the instances."""
@@ -67,14 +66,9 @@ class Everyone:
         for m, (a, b) in zip(self.members, pairwise(self._x), strict=True):
             model = _present(m).model
             if a < b:
-                found.append(self._polynomial(model)(x[a:b], unknowns[at : at + model.step.nw], tau))
+                found.append(polynomial_of(model)(x[a:b], unknowns[at : at + model.step.nw], tau))
             at += len(m.instance.unknowns)
         return np.concatenate([np.zeros(0), *found])
-
-    def _polynomial(self, model: Model) -> Any:
-        if id(model) not in self._polynomials:
-            self._polynomials[id(model)] = polynomial_of(model)
-        return self._polynomials[id(model)]
 
     def take(self, t: float, x: Array, p: Array) -> None:
         """Gives the members their states and parameters after an event at t, if these are others than they have.
