@@ -71,9 +71,12 @@ def wscc9(
 
 def wscc9_steady(*, stop: float = 1.0, coordinates: Coordinates = "dq-flux") -> Scene:
     """`wscc9` without the fault until `stop` [s]: a steady state, in which amplitudes, speeds and powers stay."""
-    net = _point(coordinates).started()
+    point = _point(coordinates)
+    net = point.started()
     net.description = "nine buses, three machines, in steady state"
-    return Scene("wscc9_steady", net, stop=stop, step=5e-5, shown=("gen2.shaft.speed", "line57.i", "bus7.v"))
+    return Scene(
+        "wscc9_steady", net, stop=stop, step=5e-5, shown=("gen2.shaft.speed", "line57.i", "bus7.v"), steady=point
+    )
 
 
 def wscc9_trip(

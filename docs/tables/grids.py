@@ -18,7 +18,8 @@ from pages import DOCS, ROOT, Array, Made, slopes, table
 from phfmu import Collocated, Monolithic, NativeInstance, Options, Scene, build_model, run
 from phfmu.components.grids import grid_model
 from phfmu.components.scenes.grids import ieee39, new_england, public_grid, wecc240
-from phfmu.components.scenes.wscc9 import wscc9_steady
+from phfmu.derivatives.steady_steps import steady_steps
+from phfmu.operating import NetworkPoint
 from phfmu.runs.result import Result
 
 PUBLISHED = ROOT / "tests" / "reference" / "data" / "grids"
@@ -85,25 +86,32 @@ def _solved(name: str) -> tuple[list[int], Array, str]:
 
 
 def grid_steady() -> Made:
-    """`wscc9_steady` after 1 s, turned back to the start: largest difference of a state relative to its amplitude."""
+    """`wscc9_steady` after 1 s, turned back to the start: largest difference of a state relative to its amplitude, from the
+    operating point of the equations and from where the steps stay."""
     rows = []
     point: Any = import_module("phfmu.components.scenes.wscc9")._point("dq-flux")
-    declaration = wscc9_steady().declaration()
     for k, step in ((1, 1e-4), (1, 5e-5), (2, 1e-4), (2, 5e-5), (3, 2e-4), (3, 1e-4)):
-        unit = NativeInstance(build_model(declaration, Collocated(k)))
-        unit.run(0.0, step, round(1.0 / step), record=())
-        names = [n for v in declaration.states for n in v.names()]
-        back = point.turned_back(dict(zip(names, np.array(unit.x), strict=True)), 1.0)
-        sizes = {
-            n: max(np.abs(v.start).max(), 1e-3 * np.max(np.abs(v.nominal)))
-            for v in declaration.states
-            for n in v.names()
-        }
-        begun = {n: s for v in declaration.states for n, s in zip(v.names(), np.ravel(v.start), strict=True)}
-        drift = {n: abs(back[n] - begun[n]) / sizes[n] for n in names}
-        last = max(drift, key=lambda n: drift[n])
-        rows.append([2 * k, f"{1e6 * step:g}", float(drift[last]), f"`{last}`"])
-    return table(["order", "step, us", "drift after 1 s", "of"], rows)
+        found = steady_steps(point, Collocated(k), step)
+        moved = f"{found.omega / point.omega - 1.0:.1e}"
+        rows.append([2 * k, f"{1e6 * step:g}", *_drift(point, k, step), _drift(found, k, step)[0], moved])
+    return table(
+        ["order", "step, us", "drift after 1 s", "of", "from where steps stay", "frequency of the steps"], rows
+    )
+
+
+def _drift(point: NetworkPoint, k: int, step: float) -> tuple[float, str]:
+    """The largest difference after 1 s, and of which state."""
+    declaration = point.started().compose()
+    unit = NativeInstance(build_model(declaration, Collocated(k)))
+    unit.run(0.0, step, round(1.0 / step), record=())
+    names = [n for v in declaration.states for n in v.names()]
+    back = point.turned_back(dict(zip(names, np.array(unit.x), strict=True)), 1.0)
+    sizes = {
+        n: max(np.abs(v.start).max(), 1e-3 * np.max(np.abs(v.nominal))) for v in declaration.states for n in v.names()
+    }
+    drift = {n: abs(back[n] - point.states[n]) / sizes[n] for n in names}
+    last = max(drift, key=lambda n: drift[n])
+    return float(drift[last]), f"`{last}`"
 
 
 def _nine() -> Any:

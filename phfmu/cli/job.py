@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from math import inf
+from math import inf, pi
 from typing import TYPE_CHECKING, Any
 
 from phfmu.cli.options import lenient_of, scene_of, scheme_of
@@ -403,7 +403,7 @@ def job_of(args: argparse.Namespace) -> Job:
             )
         return unit(args)
     s = scene_of(args)
-    s = with_given(args, s)
+    s, steady = _in_steady_steps(args, with_given(args, s))
     s = replace(s, system=_with_unit_options(args, s.system))
     require_sound_scene(args, s)
     tried = _tried(args, s)
@@ -420,11 +420,11 @@ def job_of(args: argparse.Namespace) -> Job:
             "are exact at every instant"
         )
     if not row.apart:
-        return whole(args, s, s.declaration(), [*s.notes, *why])
+        return whole(args, s, s.declaration(), [*s.notes, *steady, *why])
     _require_whole(args)
     if not isinstance(s.system, Network):
         raise ValueError(f"{args.target} is a single component; --coupling {row.name} needs a network of members")
-    return apart(args, s, s.system, row.name, [*s.notes, *why], tried if row.kind.repeats else {})
+    return apart(args, s, s.system, row.name, [*s.notes, *steady, *why], tried if row.kind.repeats else {})
 
 
 def _require_whole(args: argparse.Namespace) -> None:
@@ -439,6 +439,23 @@ def _require_whole(args: argparse.Namespace) -> None:
 def with_given(args: argparse.Namespace, s: Scene) -> Scene:
     """The scene with the values of --set."""
     return replace(s, system=with_settings(s.system, settings(args.set)))
+
+
+def _in_steady_steps(args: argparse.Namespace, s: Scene) -> tuple[Scene, list[str]]:
+    """The scene from where the steps of its scheme stay, if it says so and no --set moves it; a line that tells it."""
+    if s.steady is None or args.set:
+        return s, []
+    from phfmu.derivatives.steady_steps import steady_steps
+    from phfmu.operating import NetworkPoint, NoOperatingPoint
+
+    assert isinstance(s.steady, NetworkPoint)
+    step = s.step if args.step is None else args.step
+    try:
+        found = steady_steps(s.steady, scheme_of(args, s.declaration()), step)
+    except NoOperatingPoint as failure:
+        return s, [f"begins in the operating point of the equations: {failure}"]
+    line = f"begins in the steady state of steps of {step:g} s, at {found.omega / (2.0 * pi):.9g} Hz"
+    return replace(s, system=replace(found.started(), description=s.system.description)), [line]
 
 
 def _with_unit_options(args: argparse.Namespace, system: Any) -> Any:

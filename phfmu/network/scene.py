@@ -32,6 +32,8 @@ class Scene:
     `restart`: damping steps after each event, see `phfmu.runs.restart`.  `notes`: what of the file that the scene was
     read from is not in it, a line each.  `kept`: what that file says besides, for who writes it again.  `shown`: names or
     patterns of the signals that a picture of its run has where none are named.  `description`: that of the system if empty.
+    `steady`: the operating point (`phfmu.operating.NetworkPoint`) that the system starts in, if `phfmu run` is to move it to
+    where steps of its scheme and length stay.
     """
 
     name: str
@@ -44,6 +46,7 @@ class Scene:
     notes: tuple[str, ...] = ()
     kept: object = None
     shown: tuple[str, ...] = ()
+    steady: object = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.system, Network):

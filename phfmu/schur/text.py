@@ -138,7 +138,7 @@ def operations_text(bodies: str) -> str:
         if kind != "number":
             text += f"PH_LANE_POWER({kind})\n" if f == "pow" else f"PH_LANE_FUNCTION({kind}, {f})\n"
             continue
-        count = "TWO" if "y" in re.findall(r"\b[xy]\b", EXPRESSIONS[f]) else "ONE"
+        count = "TWO" if re.search(r"\by\b", EXPRESSIONS[f]) else "ONE"
         text += f"PH_NUMBER_OF_{count}({f}, {EXPRESSIONS[f]})\n"
     return text
 

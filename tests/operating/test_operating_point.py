@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from phfmu import Collocated, NativeInstance, Network, build_model
+from phfmu.cli import main
 from phfmu.components.control import pi_controller
 from phfmu.components.electrical import (
     induction_machine,
@@ -24,8 +25,10 @@ from phfmu.components.electrical import (
 )
 from phfmu.components.mechanical.torque_source import torque_source
 from phfmu.components.scenes.smib import circuit, smib
+from phfmu.derivatives.steady_steps import steady_steps
 from phfmu.operating import PQ, PV, Load, NoOperatingPoint, Slack, operating_point
 from phfmu.operating.rotation import Equations
+from phfmu.results.file import open_result
 
 W = 120 * pi
 wscc9: Any = import_module("phfmu.components.scenes.wscc9")  # the module, not the function of that name
@@ -120,6 +123,53 @@ def test_nine_buses_stay_in_their_steady_state(coordinates, k, h, drift):
         size = max(np.abs(v.start).max(), 1e-3 * np.max(np.abs(v.nominal)))
         for name, start in zip(v.names(), v.start, strict=True):
             assert abs(back[name] - start) <= drift * size, name
+
+
+def drift(point: Any, scheme: Any, h: float, stop: float) -> float:
+    """Largest difference of a state at `stop`, turned back, relative to its amplitude."""
+    model = point.started().compose()
+    unit = NativeInstance(build_model(model, scheme))
+    unit.run(0.0, h, round(stop / h), record=())
+    now = dict(zip((n for v in model.states for n in v.names()), np.array(unit.x), strict=True))
+    back, states = point.turned_back(now, stop), [(n, v) for v in model.states for n in v.names()]
+    return max(
+        abs(back[n] - point.states[n]) / max(np.abs(v.start).max(), 1e-3 * np.max(np.abs(v.nominal))) for n, v in states
+    )
+
+
+@pytest.mark.parametrize(("k", "h", "before"), [(1, 1e-4, 1e-4), (2, 1e-4, 1e-8), (3, 2e-4, 1e-10)])
+def test_steps_stay_in_their_own_steady_state(k: int, h: float, before: float) -> None:
+    """Rounding of angles, 377 rad in 1 s; from the operating point of the equations it is a power of the step."""
+    point = wscc9._point("dq-flux")
+    found = steady_steps(point, Collocated(k), h)
+    assert drift(found, Collocated(k), h, 1.0) <= 3e-10
+    assert drift(point, Collocated(k), h, 1.0) > before
+    assert abs(found.omega / point.omega - 1.0) <= 0.1 * (W * h) ** (
+        2 * k
+    )  # a frequency of their own: torques are given
+
+
+def test_a_source_sets_the_frequency_of_the_steps() -> None:
+    """Ten cycles at a stiff grid, with 2 % of slip in a motor."""
+    net = Network("motor")
+    net.add("grid", infinite_bus(375.6, 60.0))
+    net.add("motor", induction_machine(speed=185.0).with_starts({"shaft.torque": -198.0}))
+    net.connect("grid.terminal", "motor.terminal", name="bus")
+    point = operating_point(net, [])
+    h = 1.0 / 6000.0
+    found = steady_steps(point, Collocated(1), h)
+    assert found.omega == point.omega
+    assert drift(found, Collocated(1), h, 1.0 / 6.0) <= 1e-10 < 1e-5 < drift(point, Collocated(1), h, 1.0 / 6.0)
+
+
+def test_a_run_says_that_it_begins_where_its_steps_stay(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    words = ["run", "wscc9_steady", "--stop", "0.01", "--audit", "none"]
+    assert main([*words, "-o", str(tmp_path / "a.csv")]) == 0
+    assert "begins in the steady state of steps of 5e-05 s, at 59.998" in capsys.readouterr().out
+    assert main([*words, "--set", "gen1.J=3e5"]) == 0
+    assert "steady state of steps" not in capsys.readouterr().out
+    speed = open_result(tmp_path / "a.csv").column("gen2.shaft.speed")
+    assert np.ptp(speed) <= 1e-11 * speed[0]
 
 
 def test_an_induction_motor_under_load_is_its_equivalent_circuit():

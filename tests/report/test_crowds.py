@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -43,8 +44,8 @@ def test_a_run_marks_its_state_events_as_its_audit_does(tmp_path: Path, monkeypa
     made: list[LiveRecording] = []
     start = LiveRecording.__init__
 
-    def kept(self: LiveRecording, *args: object) -> None:
-        start(self, *args)  # pyright: ignore[reportArgumentType]
+    def kept(self: LiveRecording, *args: Any, **named: Any) -> None:
+        start(self, *args, **named)
         made.append(self)
 
     pytest.importorskip("matplotlib")
