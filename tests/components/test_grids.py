@@ -273,7 +273,7 @@ def test_stabilisers_of_a_high_gain_meet_and_leave_their_limits(order: int) -> N
         assert len(changes) >= 4 and np.diff(changes).min() > 1e-7  # a step is 5e-5 s
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_turbines_that_rest_at_their_lower_limit_stay_there() -> None:
     """240 buses with their controllers: synchronous condensers whose turbines have no power, through a fault.
 

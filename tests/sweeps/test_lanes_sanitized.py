@@ -39,7 +39,7 @@ same("heavy_top", "m[1]", np.linspace(0.9, 1.1, 8), 2, 0.1, 0.01)
 """
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_runs_side_by_side_stay_inside_their_memory(tmp_path: Path) -> None:
     orders = ["four_particle", "four_particle", "four_bar"]
     assert output(CODE, tmp_path) == ["oscillator2", *(f"{n}{o}" for o in (2, 6) for n in orders), "heavy_top2"]
