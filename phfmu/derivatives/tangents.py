@@ -28,6 +28,7 @@ from phfmu.derivatives.by import By, start_tangents_by
 from phfmu.derivatives.event_maps import EventMaps, Instant, Slope
 from phfmu.derivatives.plan_function import PlanFunction, Point, Rows
 from phfmu.discretise.model import Model
+from phfmu.plan.plan import Plan
 from phfmu.signals import Quantity
 
 Array = NDArray[np.float64]
@@ -167,7 +168,7 @@ class Tangents:
         found = self._at_instants((np.array([t]), x[None], u[None], p, a_end[None]), self.S[None], self.T[None])
         blocks = {"x": self.S[None].copy(), "t": self.T[None, None].copy(), **found}
         blocks |= {of: found[at] for of, at in (("a", "a_end"), ("y_step", "y_end")) if at in found}
-        return self._with_sums(blocks, {n: s[None] for n, s in self._sums.items()})
+        return with_sums(self.model.step, blocks, {n: s[None] for n, s in self._sums.items()})
 
     def jump(self, before: Instant, fired: Sequence[int], rests: Sequence[int]) -> None:
         """The states jump at events, of which some come to rest: the states `before` them with the parameters after them."""
@@ -220,7 +221,7 @@ class Tangents:
         for name, start in self._sums.items():
             sums[name] = start + np.cumsum(blocks.pop(name), axis=0)
             self._sums[name] = sums[name][-1]
-        return self._with_sums(blocks, sums)
+        return with_sums(self.model.step, blocks, sums)
 
     def _landed(self, guards: Sequence[int], steps: Taken, grid: float, S: Array, rate: Array) -> Array:
         """Tangent (names) of the end of the last step, where guards are zero: tangents of the states for a given length, and
@@ -238,17 +239,6 @@ class Tangents:
         self.events.require_together(at.t, guards, np.array(found), self._sizes)
         return found[0]
 
-    def _with_sums(self, blocks: dict[str, Array], sums: dict[str, Array]) -> dict[str, Array]:
-        """Energies since the start: through pairs, lost, and supplied by component."""
-        plan, (n, _, width) = self.model.step, blocks["x"].shape
-        nothing = {name: np.zeros((n, plan.ncomp, width)) for name in ("residual", "gap")}
-        if "energy" not in sums:
-            return blocks | sums | nothing
-        supplied = np.zeros((n, plan.ncomp, width))
-        for pair, owner in enumerate(plan.pair_owner):
-            supplied[:, owner] += sums["energy"][:, pair]
-        return blocks | sums | {"supplied": supplied} | nothing
-
     def _at_instants(self, point: tuple[Array, Array, Array, Array, Array], S: Array, T: Array) -> dict[str, Array]:
         """Blocks at instants (t, x, u, p, algebraic variables) with tangents S (n x nx x names) of the states, T of the times."""
         if not self._of_instant:
@@ -265,6 +255,18 @@ class Tangents:
         if T.any():
             rows += found[:, :, ahead, None] * T[:, None, :]
         return {name: rows[:, place] for name, place in self._of_instant.items()}
+
+
+def with_sums(plan: Plan, blocks: dict[str, Array], sums: dict[str, Array]) -> dict[str, Array]:
+    """The blocks with energies since the start: through pairs, lost, and supplied by component."""
+    n, _, width = blocks["x"].shape
+    nothing = {name: np.zeros((n, plan.ncomp, width)) for name in ("residual", "gap")}
+    if "energy" not in sums:
+        return blocks | sums | nothing
+    supplied = np.zeros((n, plan.ncomp, width))
+    for pair, owner in enumerate(plan.pair_owner):
+        supplied[:, owner] += sums["energy"][:, pair]
+    return blocks | sums | {"supplied": supplied} | nothing
 
 
 def of_quantities(quantities: Sequence[Quantity], blocks: dict[str, Array], by: By) -> Array:

@@ -16,6 +16,7 @@ from phfmu.derivatives.tangents import Tangents, in_parts, of_quantities, requir
 from phfmu.discretise.model import Model, build_model
 from phfmu.discretise.start import Projection
 from phfmu.gradients.quadrature import nodes
+from phfmu.interrupt import Interrupted
 from phfmu.network.couplings.anderson import Anderson
 from phfmu.network.couplings.coupled import Coupled
 from phfmu.network.couplings.coupling import Solution
@@ -25,6 +26,7 @@ from phfmu.network.couplings.unconverged import Accepting, Halving
 from phfmu.network.members.engine_member import EngineMember
 from phfmu.network.members.member import Member
 from phfmu.network.network import Network
+from phfmu.outcome.status import StepFailure
 from phfmu.outcome.steps import Steps
 from phfmu.schemes.scheme import Scheme
 from phfmu.signals import Quantity, of_member, quantities
@@ -236,6 +238,21 @@ class DerivedMembers(Coupled):
                 raise in_parts(m.member.model, t, h)
             parts.append(m.stepped(z[m.part.col], u, x, t, h))
         return steps, JointSteps(parts, z[None])
+
+    def kept_steps(
+        self, t0: float, h: float, n: int, first: int
+    ) -> tuple[list[Steps], list[JointSteps], StepFailure | Interrupted | None]:
+        """Steps of a grid from number `first` on, what they are derived by, and what ended them before n of them."""
+        parts, kept = list[Steps](), list[JointSteps]()
+        self._begun = True
+        try:
+            for k in range(first, first + n):
+                steps, own = self.kept_step(t0, h, k)
+                parts.append(steps)
+                kept.append(own)
+        except (StepFailure, Interrupted) as failure:
+            return parts, kept, failure
+        return parts, kept, None
 
     def _outside(self, i: int, t0: float, h: float, k: int) -> Array:
         """Inputs of a member that no junction feeds, at the nodes of step k (k nu)."""

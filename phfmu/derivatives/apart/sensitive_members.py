@@ -12,10 +12,8 @@ from numpy.typing import NDArray
 from phfmu.derivatives.apart.derived_members import AT_ONCE, DerivedMembers
 from phfmu.derivatives.apart.joint_maps import JointSteps
 from phfmu.derivatives.sensitive import quotient
-from phfmu.derivatives.tangents import of_quantities
-from phfmu.interrupt import Interrupted
+from phfmu.derivatives.tangents import of_quantities, with_sums
 from phfmu.network.couplings.coupled import Coupled
-from phfmu.outcome.status import StepFailure
 from phfmu.outcome.steps import Steps
 from phfmu.signals import SignalKind, derivative_name, of_member
 
@@ -94,15 +92,7 @@ class SensitiveMembers(DerivedMembers):
     # -- steps -----------------------------------------------------------------------------------------------------------
 
     def advance(self, t0: float, h: float, n: int, first: int = 0) -> Steps:
-        parts, kept, failure = list[Steps](), list[JointSteps](), None
-        self._begun = True
-        try:
-            for k in range(first, first + n):
-                steps, own = self.kept_step(t0, h, k)
-                parts.append(steps)
-                kept.append(own)
-        except (StepFailure, Interrupted) as found:
-            failure = found
+        parts, kept, failure = self.kept_steps(t0, h, n, first)
         done = self._derived(parts, kept) if parts else None
         if failure is not None:
             failure.recorded = {} if done is None else {"steps": done}
@@ -150,14 +140,11 @@ class SensitiveMembers(DerivedMembers):
         m = self.maps.members[j]
         blocks = {n: told[:, place] for n, place in (m.of_step | m.of_instant).items()} | {"x": S}
         plan = m.member.model.step
-        for name in ("energy", "dissipated"):
-            blocks[name] = self._energies[j][name] + np.cumsum(blocks[name], axis=0)
-            self._energies[j][name] = blocks[name][-1]
-        supplied = np.zeros((len(S), plan.ncomp, S.shape[2]))
-        for pair, owner in enumerate(plan.pair_owner):
-            supplied[:, owner] += blocks["energy"][:, pair]
-        nothing = {name: np.zeros_like(supplied) for name in ("residual", "gap")}
-        return blocks | {"supplied": supplied} | nothing
+        sums = {}
+        for name, start in self._energies[j].items():
+            sums[name] = start + np.cumsum(blocks.pop(name), axis=0)
+            self._energies[j][name] = sums[name][-1]
+        return with_sums(plan, blocks, sums)
 
     def _rows_of(self, blocks: list[dict[str, Array]], junctions: Array) -> Array:
         """Rows of derivatives of the columns that are derived."""

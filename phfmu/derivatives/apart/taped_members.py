@@ -19,9 +19,7 @@ from numpy.typing import NDArray
 from phfmu.derivatives.apart.derived_members import AT_ONCE, DerivedMembers
 from phfmu.derivatives.apart.joint_maps import JointMaps, JointSteps
 from phfmu.derivatives.apart.member_maps import MemberMaps
-from phfmu.interrupt import Interrupted
 from phfmu.network.couplings.coupled import Coupled
-from phfmu.outcome.status import StepFailure
 from phfmu.outcome.steps import Steps
 from phfmu.signals import Quantity
 
@@ -97,16 +95,10 @@ class TapedMembers(DerivedMembers):
         return row
 
     def advance(self, t0: float, h: float, n: int, first: int = 0) -> Steps:
-        parts, kept = list[Steps](), list[JointSteps]()
-        self._begun = True
-        try:
-            for k in range(first, first + n):
-                steps, own = self.kept_step(t0, h, k)
-                parts.append(steps)
-                kept.append(own)
-        except (StepFailure, Interrupted) as failure:
+        parts, kept, failure = self.kept_steps(t0, h, n, first)
+        if failure is not None:
             failure.recorded = {"steps": Steps.joined(parts)} if parts else {}
-            raise
+            raise failure
         self._stretches.append(_Stretch(self.maps, JointSteps.joined(kept), self._count, self._acts.copy()))
         self._count += n
         return Steps.joined(parts)
