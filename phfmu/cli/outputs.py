@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from phfmu.audit import AuditWriter
     from phfmu.cli.checkpoints import Checkpoints
     from phfmu.declare.shape import Shape
-    from phfmu.network.scene import Event, Scene
+    from phfmu.network.scene import Event
     from phfmu.report.live_recording import LiveRecording
     from phfmu.report.view.recorded import LiveMotion
     from phfmu.results.writer import TableWriter
@@ -48,11 +48,10 @@ class Outputs:
         self._view: Path | None = None
         self._moved: LiveMotion | None = None
         self._shapes: tuple[Shape, ...] = ()
-        #: signals of the picture: patterns of the scene, unless the command names some; then those that the run has
-        self._patterns: tuple[str, ...] = ()
+        #: signals of the picture that the scene names: patterns; those that the run has; patterns of which it has none
+        self._patterns: Sequence[str] = ()
         self._chosen: list[str] = []
         self._absent: list[str] = []
-        self._asked = bool(args.signals)
         #: metadata of the audit: options, files, software and machine, as they are before the run
         self._origin: Mapping[str, object] = {}
         #: wall time spent on the result table
@@ -87,10 +86,10 @@ class Outputs:
             if here in (self._audit_path.resolve(), self._audit_path.with_suffix(".parquet").resolve()):
                 raise ValueError(f"-o and --audit both name {args.output}; give the audit a file of its own")
 
-    def begin(self, about: dict[str, str], scene: Scene) -> None:
-        """Open the audit of a run of a scene; pictures are called by what `about` tells."""
+    def begin(self, about: dict[str, str], shapes: tuple[Shape, ...] = (), shown: Sequence[str] = ()) -> None:
+        """Open the audit of a run with these shapes; pictures are called by what `about` tells, `shown`: their signals."""
         self._title = f"{about['target']}: {about['run']}{about['kernels']}"
-        self._target, self._shapes, self._patterns = about["target"], scene.shapes, () if self._asked else scene.shown
+        self._target, self._shapes, self._patterns = about["target"], shapes, shown
         if self._audit_path:
             from phfmu.audit import AuditWriter
 
@@ -112,7 +111,7 @@ class Outputs:
             marks = [Mark(e.t, f"{e.name} = {e.value:.6g}") for e in events]
             told = (dict(zip(names, texts, strict=True)) for texts in (units, kinds, labels))
             found = {pattern: matching(pattern, names) for pattern in self._patterns}
-            self._chosen = [n for some in found.values() for n in some]
+            self._chosen = list(dict.fromkeys(n for some in found.values() for n in some))
             self._absent = [pattern for pattern, some in found.items() if not some]
             self._drawn = LiveRecording(self._title, names, marks, *told, chosen=self._chosen)
             self._go_on(self._drawn, "picture")

@@ -17,7 +17,6 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import expm
 from scipy.sparse import block_diag, bmat, coo_array, csc_array, diags_array, eye_array
 from scipy.sparse.linalg import splu
 
@@ -77,12 +76,8 @@ class _Steady:
         """A and b of the turn A x + b by an angle [rad]."""
         blocks, order, b = [], [], np.zeros(len(self.names))
         for e, own in self._members:
-            n = len(own)
-            whole = np.zeros((n + 1, n + 1))
-            whole[:n, :n], whole[:n, n] = e.S, e.c
-            whole = expm(angle * whole)
-            blocks.append(whole[:n, :n])
-            b[own] = whole[:n, n]
+            A, b[own] = e.turn(angle)
+            blocks.append(A)
             order += own
         to = coo_array((np.ones(len(order)), (order, np.arange(len(order)))), shape=(len(order), len(order)))
         return csc_array(to @ block_diag(blocks, "csc") @ to.T), b

@@ -179,14 +179,20 @@ class Equations:
         c[np.abs(c) < ROUNDING * size] = 0.0
         return S, c, missed
 
-    def turned(self, x: Any, angle: float) -> Array:
-        """The states after a rotation of the phases by `angle` [rad]."""
+    def turn(self, angle: float) -> tuple[Array, Array]:
+        """A (nx x nx) and b (nx): states A x + b after a rotation of the phases by `angle` [rad]."""
         from scipy.linalg import expm
 
         n = self.size.x
         whole = np.zeros((n + 1, n + 1))
         whole[:n, :n], whole[:n, n] = self.S, self.c
-        return np.asarray(expm(angle * whole) @ np.append(x, 1.0), np.float64)[:n]
+        whole = np.asarray(expm(angle * whole), np.float64)
+        return whole[:n, :n], whole[:n, n]
+
+    def turned(self, x: Any, angle: float) -> Array:
+        """The states after a rotation of the phases by `angle` [rad]."""
+        A, b = self.turn(angle)
+        return A @ np.asarray(x, np.float64) + b
 
 
 def _source(port: Port) -> ca.SX:

@@ -143,7 +143,8 @@ def call(args: argparse.Namespace) -> int:
 
         held = rows.events() if rows is not None and args.interpolate == "held" else ()
         marks = (e for e in chain(events, held) if e.t < chosen.stop)
-        outputs.begin({"target": args.target, "run": label, "kernels": job.kernels.words}, scene)
+        about = {"target": args.target, "run": label, "kernels": job.kernels.words}
+        outputs.begin(about, scene.shapes, () if args.signals else scene.shown)
         columns = partial(outputs.columns, chosen, marks)
         record = accuracy.recorded(args, chosen.step)
         options_here = replace(
