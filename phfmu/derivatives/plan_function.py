@@ -118,6 +118,14 @@ class PlanFunction:
             told[some] = T.full() + T_w.times(w[some])
         return Response(w, told)
 
+    def at_instants(self, t: Array, x: Array, u: Array, p: Array, a: Array) -> Array:
+        """Derivatives of what the plan of an instant tells at n of them (n x told x columns); `a`: algebraic variables there."""
+        plan, n = self.plan, len(t)
+        w = np.zeros((n, plan.nw))
+        w[:, plan.mean_w] = a[:, plan.mean_a]
+        at = Point(np.column_stack([x, t]), w, u, np.broadcast_to(p, (n, plan.np)), np.ones(n))
+        return self.response(Point(at.x, self.solved(at), at.u, at.p, at.h)).told
+
     def solved(self, at: Point, most: int = 20) -> Array:
         """Unknowns that solve F = 0, by Newton's method from `at.w`; ValueError where it does not converge."""
         w = at.w.copy()

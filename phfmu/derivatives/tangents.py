@@ -243,14 +243,8 @@ class Tangents:
         """Blocks at instants (t, x, u, p, algebraic variables) with tangents S (n x nx x names) of the states, T of the times."""
         if not self._of_instant:
             return {}
-        t, x, u, p, a = point
-        plan, n = self.model.instant, len(t)
-        w = np.zeros((n, plan.nw))
-        w[:, plan.mean_w] = a[:, plan.mean_a]
-        at = Point(np.column_stack([x, t]), w, u, np.broadcast_to(p, (n, len(p))), np.ones(n))
-        at = Point(at.x, self._instant.solved(at), at.u, at.p, at.h)
-        found = self._instant.response(at).told
-        nx, ahead = plan.nx, plan.nx + self.by.directions.n
+        found = self._instant.at_instants(*point)
+        nx, ahead = self.model.instant.nx, self.model.instant.nx + self.by.directions.n
         rows = np.matmul(found[:, :, :nx], S) + self.by.spread(found[:, :, nx:ahead]) * self._acts
         if T.any():
             rows += found[:, :, ahead, None] * T[:, None, :]

@@ -215,13 +215,9 @@ class MemberMaps:
 
     def _at_ends(self, steps: MemberSteps, p: Array, X: Array, acts: Array) -> tuple[Array, Array]:
         """Derivatives of what is told at the ends of steps, and those by the signals that are passed on there."""
-        t, plan = steps.taken, self.member.model.instant
-        n = len(t.t)
-        w = np.zeros((n, plan.nw))
-        w[:, plan.mean_w] = t.a_end[:, plan.mean_a]
-        at = Point(np.column_stack([t.after, t.t + t.h]), w, steps.ends, p, np.ones(n))
-        at = Point(at.x, self._instant.solved(at), at.u, at.p, at.h)
-        found, first = self._instant.response(at).told, self.nx + self.by.directions.n
+        t = steps.taken
+        found = self._instant.at_instants(t.t + t.h, t.after, steps.ends, p, t.a_end)
+        first = self.nx + self.by.directions.n
         signals = found[:, :, [first + self._fed_end.index(i) for i in self.wired]]
         return self._along(found, X, self._feed_end[self._fed_end], acts), signals
 
