@@ -106,7 +106,6 @@ def grid_scene(
         stop,
         step,
         tuple(sorted(events, key=lambda e: e.t)),
-        net.description,
         notes=tuple(_account(model)),
         restart=2 if faults else 0,  # what a fault discharges in microseconds rings at Gauss nodes
     )

@@ -100,7 +100,7 @@ def wscc9_trip(
     net.members["line57"] = breaker(R, L, chop=chop, i=i, v=v, start=start)
     net.description = "nine buses, three machines; three-phase fault at bus 7, line 5-7 opened at its current zeros"
     events = (Event(t_fault, "fault.G", 1.0), Event(t_clear, "fault.G", 0.0), Event(t_clear, "line57.command", 0.0))
-    return Scene("wscc9_trip", net, stop=stop, step=5e-5, events=events, description=net.description, restart=4)
+    return Scene("wscc9_trip", net, stop=stop, step=5e-5, events=events, restart=4)
 
 
 def machine_of(number: str) -> MachineData:

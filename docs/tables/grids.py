@@ -105,11 +105,7 @@ def _drift(point: NetworkPoint, k: int, step: float) -> tuple[float, str]:
     unit = NativeInstance(build_model(declaration, Collocated(k)))
     unit.run(0.0, step, round(1.0 / step), record=())
     names = [n for v in declaration.states for n in v.names()]
-    back = point.turned_back(dict(zip(names, np.array(unit.x), strict=True)), 1.0)
-    sizes = {
-        n: max(np.abs(v.start).max(), 1e-3 * np.max(np.abs(v.nominal))) for v in declaration.states for n in v.names()
-    }
-    drift = {n: abs(back[n] - point.states[n]) / sizes[n] for n in names}
+    drift = point.drift(dict(zip(names, np.array(unit.x), strict=True)), 1.0)
     last = max(drift, key=lambda n: drift[n])
     return float(drift[last]), f"`{last}`"
 

@@ -17,12 +17,12 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import block_diag, bmat, coo_array, csc_array, diags_array, eye_array
-from scipy.sparse.linalg import splu
+from scipy.sparse import block_diag, bmat, coo_array, csc_array, eye_array
 
 from phfmu.declare.variable import time
 from phfmu.derivatives.plan_function import Rows
 from phfmu.discretise.model import Model, build_model
+from phfmu.operating.newton import solution
 from phfmu.operating.point import NetworkPoint
 from phfmu.operating.system import NoOperatingPoint
 from phfmu.schemes.scheme import Scheme
@@ -96,7 +96,7 @@ class _Steady:
         q[plan.mean_w[own]] = self.model.a0[plan.mean_a[own]]
         for _ in range(ITERATIONS):
             F, F_q, _ = self._at(x, q, u, p)
-            move = _solved(F_q, F, size)
+            move = solution(F_q, F)
             q -= move
             if np.abs(move / size).max(initial=0.0) <= FLOOR:
                 break
@@ -121,7 +121,10 @@ class _Steady:
                 rows = [[*rows[0], None], [*rows[1], csc_array(-h * self._generated(back)[:, None])]]
                 rows.append([None, csc_array(along[None]), None])
                 right.append(np.array([along @ (x - x0)]))
-            move = _solved(csc_array(bmat(rows)), np.concatenate(right), sizes)
+            try:
+                move = solution(csc_array(bmat(rows)), np.concatenate(right))
+            except RuntimeError:
+                break
             q, x = q - move[: len(q)], x - move[len(q) : len(q) + len(x)]
             w -= move[-1] if self.free else 0.0
             update = float(np.abs(move / sizes).max())
@@ -134,11 +137,3 @@ class _Steady:
             f"{self.point.network.name}: steps of {h:g} s of {self.model.scheme.name}, order {self.model.scheme.order} find no "
             f"steady state near the operating point (last update {before:.3g} of the sizes); take shorter steps"
         )
-
-
-def _solved(J: csc_array, right: Array, sizes: Array) -> Array:
-    """J^-1 right, by columns of equal size and then by rows."""
-    scaled = J @ diags_array(sizes)
-    largest = np.abs(scaled).max(axis=1).toarray().ravel()
-    rows = 1.0 / np.where(largest == 0, 1.0, largest)
-    return sizes * splu(csc_array(diags_array(rows) @ scaled)).solve(rows * right)

@@ -90,6 +90,19 @@ class NetworkPoint:
             out |= dict(zip(names, turned.tolist(), strict=True))
         return out
 
+    def drift(self, states: Mapping[str, float], t: float) -> dict[str, float]:
+        """How far each state of a later time t, turned back, is from the start, relative to the amplitude of its variable.
+
+        The amplitude is that of the start, or a thousandth of the nominal value where that is more.
+        """
+        back, found = self.turned_back(states, t), dict[str, float]()
+        for name, model in self.network.declared.items():
+            for v in model.states:
+                names = [of_member(name, n) for n in v.names()]
+                size = max(*(abs(self.states[n]) for n in names), 1e-3 * float(np.max(np.abs(v.nominal))))
+                found |= {n: abs(back[n] - self.states[n]) / size for n in names}
+        return found
+
 
 def operating_point(net: Network, specifications: Sequence[Specification], frequency: float = 60.0) -> NetworkPoint:
     """The balanced steady state of a network at `frequency` [Hz] that meets the specifications.

@@ -131,10 +131,7 @@ def drift(point: Any, scheme: Any, h: float, stop: float) -> float:
     unit = NativeInstance(build_model(model, scheme))
     unit.run(0.0, h, round(stop / h), record=())
     now = dict(zip((n for v in model.states for n in v.names()), np.array(unit.x), strict=True))
-    back, states = point.turned_back(now, stop), [(n, v) for v in model.states for n in v.names()]
-    return max(
-        abs(back[n] - point.states[n]) / max(np.abs(v.start).max(), 1e-3 * np.max(np.abs(v.nominal))) for n, v in states
-    )
+    return max(point.drift(now, stop).values())
 
 
 @pytest.mark.parametrize(("k", "h", "before"), [(1, 1e-4, 1e-4), (2, 1e-4, 1e-8), (3, 2e-4, 1e-10)])
