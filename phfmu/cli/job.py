@@ -446,13 +446,13 @@ def _in_steady_steps(args: argparse.Namespace, s: Scene) -> tuple[Scene, list[st
     if s.steady is None or args.set:
         return s, []
     from phfmu.derivatives.steady_steps import steady_steps
-    from phfmu.operating import NetworkPoint, NoOperatingPoint
+    from phfmu.operating import NetworkPoint
 
     assert isinstance(s.steady, NetworkPoint)
-    step = s.step if args.step is None else args.step
+    step, scheme = s.step if args.step is None else args.step, scheme_of(args, s.declaration())
     try:
-        found = steady_steps(s.steady, scheme_of(args, s.declaration()), step)
-    except NoOperatingPoint as failure:
+        found = steady_steps(s.steady, scheme, step)
+    except ValueError as failure:
         return s, [f"begins in the operating point of the equations: {failure}"]
     line = f"begins in the steady state of steps of {step:g} s, at {found.omega / (2.0 * pi):.9g} Hz"
     return replace(s, system=replace(found.started(), description=s.system.description)), [line]

@@ -135,7 +135,7 @@ class Outputs:
             carry(kept, found)
 
     def marks(self) -> dict[str, Any]:
-        """Where its files are, all rows so far on the disk, and the rows that are kept for pictures."""
+        """Tells where the files are, once all rows so far are on the disk, and the rows that are kept for pictures."""
         return {
             "audit": None if self.sink is None else self.sink.mark(),
             "table": None if self.table is None else self.table.mark(),

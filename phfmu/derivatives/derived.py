@@ -185,11 +185,11 @@ class DerivedSteps(Monolithic):
         return self.model if instance is self.instance else instance.model
 
     def kept(self) -> Any:
-        """What is known of the steps so far, which `back` goes back to."""
+        """The present derivatives, which `back` restores."""
         raise NotImplementedError
 
     def back(self, kept: Any) -> None:
-        """To what was known of the steps before."""
+        """Restores the derivatives that `kept` told."""
         raise NotImplementedError
 
     def taken(self, instance: Any, t0: float, h: float, n: int, first: int = 0) -> Steps:

@@ -36,7 +36,7 @@ class Kept:
 
 
 def digest(value: Any) -> str:
-    """Of numbers, texts and arrays, to the bit."""
+    """A SHA-256 digest of numbers, texts, arrays and sequences of them; it differs where a bit does."""
     hashed = hashlib.sha256()
 
     def take(part: Any) -> None:

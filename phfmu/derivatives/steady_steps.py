@@ -21,6 +21,7 @@ from scipy.sparse import block_diag, bmat, coo_array, csc_array, eye_array
 
 from phfmu.declare.variable import time
 from phfmu.derivatives.plan_function import Rows
+from phfmu.derivatives.tangents import require_derived
 from phfmu.discretise.model import Model, build_model
 from phfmu.operating.newton import solution
 from phfmu.operating.point import NetworkPoint
@@ -40,9 +41,11 @@ def steady_steps(point: NetworkPoint, scheme: Scheme, step: float) -> NetworkPoi
     """The point, moved to where steps of length `step` [s] of the composed network under `scheme` stay: `states` and `omega`.
 
     Voltages and powers move by a power of the step with the states; they are told as they were.
-    NoOperatingPoint where the iteration does not end: the step is too long, or the point is not steady.
+    NoOperatingPoint where the iteration does not end: the step is too long, or the point is not steady.  ValueError for schemes
+    that carry more than the states from step to step, and for redundant constraints.
     """
     model = build_model(point.started().compose(), scheme)
+    require_derived(model)
     return _Steady(point, model, step).found()
 
 

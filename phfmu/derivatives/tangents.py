@@ -67,6 +67,11 @@ class Taken:
         )
 
 
+def weights_at_end(model: Model) -> Array:
+    """Weights (k) of the inputs at the nodes of a step in those at its end: their polynomial."""
+    return np.array(model.scheme.nodes.value(1.0)) if model.step.k > 1 else np.ones(1)
+
+
 def in_parts(model: Model, t: float, h: float) -> ValueError:
     """A step was taken in parts."""
     return ValueError(
@@ -142,11 +147,11 @@ class Tangents:
         self._sums = {name: np.zeros((size, n)) for name, size in sizes.items() if name in self._of_step}
 
     def kept(self) -> tuple[Any, ...]:
-        """Where they are, which `back` goes back to."""
+        """The present tangents, which `back` restores."""
         return self.S, self.T, dict(self._sums)
 
     def back(self, kept: tuple[Any, ...]) -> None:
-        """To where they were."""
+        """Restores the tangents that `kept` told."""
         self.S, self.T, sums = kept
         self._sums = dict(sums)
 
@@ -211,7 +216,7 @@ class Tangents:
         blocks = {name: rows[:, place] for name, place in self._of_step.items()}
         nu = model.step.nu
         u = steps.u.reshape(n, model.step.k, nu)
-        last = np.array(model.scheme.nodes.value(1.0)) if model.step.k > 1 else np.ones(1)
+        last = weights_at_end(model)
         ends = np.einsum("k,nku->nu", last, u) if nu else np.zeros((n, 0))
         blocks |= self._at_instants((steps.t + steps.h, steps.after, ends, steps.p, steps.a_end), S, T) | {
             "x": S,

@@ -89,7 +89,7 @@ def _turned(net: Network, names: Sequence[str]) -> list[str]:
 
 
 def _inward(net: Network, end: End, outward: Sequence[str]) -> bool:
-    """Whether a port counts its flow into its unit."""
+    """True if a port counts its flow into its unit."""
     member = net.members[end.member]
     if isinstance(member, PHDAE):
         return str(end) not in outward

@@ -91,7 +91,7 @@ class Solver:
 
     @staticmethod
     def found(schur: SchurStepper) -> bool:
-        """Whether it was compiled before."""
+        """True if the Schur stepper was compiled for several runs before."""
         return find(_sources(schur), flags=host_flags()) is not None
 
 

@@ -220,7 +220,7 @@ class NativeRuns:
             self._each += [_Run(self._task, self._lib, self._stop) for _ in range(LANES - 1)]
 
     def _has_solver(self) -> bool:
-        """Whether a Schur stepper of several runs was compiled before, or its compiler is earned."""
+        """True if the Schur stepper of several runs was compiled before, or the steps to come earn the compiler's time."""
         schur = self._task.model.step.schur
         if schur is None or self._expected >= side_by_side.EARNS:
             return True

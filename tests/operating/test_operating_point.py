@@ -165,6 +165,8 @@ def test_a_run_says_that_it_begins_where_its_steps_stay(capsys: pytest.CaptureFi
     assert "begins in the steady state of steps of 5e-05 s, at 59.998" in capsys.readouterr().out
     assert main([*words, "--set", "gen1.J=3e5"]) == 0
     assert "steady state of steps" not in capsys.readouterr().out
+    assert main([*words, "--scheme", "gradient-pair"]) == 0
+    assert "begins in the operating point of the equations: wscc9: scheme gradient-pair" in capsys.readouterr().out
     speed = open_result(tmp_path / "a.csv").column("gen2.shaft.speed")
     assert np.ptp(speed) <= 1e-11 * speed[0]
 

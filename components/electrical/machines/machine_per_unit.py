@@ -167,7 +167,7 @@ def reactances(machine: str | Mapping[str, Any] | MachineData) -> dict[str, floa
 
 
 def orders(m: MachineData, axis: str) -> tuple[int, ...]:
-    """What the first and the second winding of an axis bring: 1 transient, 2 subtransient values."""
+    """The kinds of values that the windings of an axis bring, in their order: 1 transient, 2 subtransient."""
     n = len(m.on_axis(axis))
     return (2,) if axis == "q" and n == 1 and len(m.on_axis("d")) > 1 else (1, 2)[:n]
 

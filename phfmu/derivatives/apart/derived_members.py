@@ -83,7 +83,7 @@ class DerivedMembers(Coupled):
         return build_model(self.joined.network.compose(), self.engines[0].model.scheme)
 
     def forget(self) -> None:
-        """What was kept of the steps so far belongs to another run."""
+        """Drops what was kept of steps, which belong to another run."""
         self._acts, self._begun = np.ones(len(self.by.names)), False
 
     @property

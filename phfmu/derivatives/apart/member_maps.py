@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from phfmu.derivatives.apart.kicks import KickSlopes
 from phfmu.derivatives.by import By
 from phfmu.derivatives.plan_function import PlanFunction, Point, Rows
-from phfmu.derivatives.tangents import OF_INSTANT, OF_STEP, Taken, places, told_of_instant, told_of_step
+from phfmu.derivatives.tangents import OF_INSTANT, OF_STEP, Taken, places, told_of_instant, told_of_step, weights_at_end
 from phfmu.network.couplings.compiled.master_pattern import Part
 from phfmu.network.members.engine_member import EngineMember
 from phfmu.schemes.impulses import POINTS
@@ -80,7 +80,7 @@ class MemberMaps:
         self.nx, self.names, self.reached = plan.nx, len(by.names), len(part.col)
         self._feed = self._fed(plan.k)
         self._nodes = np.flatnonzero(self._feed.any(axis=1)).tolist()
-        last = np.array(model.scheme.nodes.value(1.0)) if plan.k > 1 else np.ones(1)
+        last = weights_at_end(model)
         #: of the inputs at the end of a step (nu x unknowns)
         self._last, self._feed_end = last, np.einsum("k,kuz->uz", last, self._feed.reshape(plan.k, plan.nu, -1))
         self._fed_end = np.flatnonzero(self._feed_end.any(axis=1)).tolist()
@@ -119,7 +119,7 @@ class MemberMaps:
 
     @cached_property
     def slopes(self) -> KickSlopes:
-        """Of its impulses."""
+        """Derivatives of the member's impulses, made when they are first asked for."""
         return KickSlopes(self.member.model.declaration, self.by.directions.parameters, 1 + POINTS)
 
     # -- steps ---------------------------------------------------------------------------------------------------------

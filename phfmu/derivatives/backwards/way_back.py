@@ -19,6 +19,7 @@ from phfmu.derivatives.backwards.legs import Call, Leg, Occurrence
 from phfmu.derivatives.backwards.run_bars import RunBars
 from phfmu.derivatives.derived import DerivedSteps
 from phfmu.derivatives.event_maps import Instant
+from phfmu.derivatives.tangents import weights_at_end
 from phfmu.engine.native.reverse import NativeReverse, RowBars
 from phfmu.events.modes import Mode
 
@@ -209,7 +210,7 @@ class WayBack:
         assert leg.kept is not None
         nx, rows = self._nx, leg.kept.rows
         model = self._run.model_in(leg.mode) if leg.damped is None else leg.damped.model
-        last = np.array(model.scheme.nodes.value(1.0)) if model.step.k > 1 else np.ones(1)
+        last = weights_at_end(model)
         b, tau = self.back.bars, self._tau.copy()
         kept, begins = b.x.copy(), np.searchsorted(step, np.arange(leg.n), "left")
         for i in np.flatnonzero(instants.any(axis=(1, 2))).tolist():

@@ -262,7 +262,7 @@ def cost_table(s: Study) -> str:
 
 
 def told(s: Study) -> str:
-    """What a short circuit without load leaves together."""
+    """The pair of values that a short circuit without load does not tell apart."""
     return "; ".join(f"`{a}` and `{b}`, correlation {c:.4f}" for a, b, c in pairs(s.unloaded.found))
 
 
