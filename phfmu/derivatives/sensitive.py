@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -60,11 +60,7 @@ class SensitiveSteps(DerivedSteps):
         d = self.model.declaration
         given = super().units | {n: v.unit for v in (*d.parameters, *d.states) for n in v.names()}
         moved = {m: quotient("s", given.get(n, "1")) for m, n in zip(self._times, self.by.names, strict=False)}
-        return (own | moved) | {
-            derivative_name(q.name, n): quotient(own.get(q.name, "1"), given.get(n, "1"))
-            for q in self.derived
-            for n in self.by.names
-        }
+        return own | moved | slope_units(self.derived_names, self.by.names, own, given)
 
     @property
     def kinds(self) -> dict[str, SignalKind]:
@@ -160,6 +156,13 @@ class SensitiveSteps(DerivedSteps):
             self._row = self._derived(self._tangents.at(Instant(e.t, x_after, a_after, found.u, found.after)))[0]
             row = row[0], np.concatenate([row[1], self._row])
         return steps, row
+
+
+def slope_units(
+    signals: Sequence[str], names: Sequence[str], over: Mapping[str, str], under: Mapping[str, str]
+) -> dict[str, str]:
+    """The units of `d(signal)/d(name)`, from those of signals and of names."""
+    return {derivative_name(s, n): quotient(over.get(s, "1"), under.get(n, "1")) for s in signals for n in names}
 
 
 def quotient(over: str, under: str) -> str:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from phfmu.derivatives.apart.derived_members import AT_ONCE, DerivedMembers
 from phfmu.derivatives.apart.joint_maps import JointSteps
-from phfmu.derivatives.sensitive import quotient
+from phfmu.derivatives.sensitive import slope_units
 from phfmu.derivatives.tangents import of_quantities, with_sums
 from phfmu.network.couplings.coupled import Coupled
 from phfmu.outcome.steps import Steps
@@ -64,12 +64,7 @@ class SensitiveMembers(DerivedMembers):
             for v in (*m.model.declaration.parameters, *m.model.declaration.states)
             for n in v.names()
         }
-        under = own | given
-        return own | {
-            derivative_name(s, n): quotient(own.get(s, "1"), under.get(n, "1"))
-            for s in self.derived_names
-            for n in self.by.names
-        }
+        return own | slope_units(self.derived_names, self.by.names, own, own | given)
 
     @property
     def kinds(self) -> dict[str, SignalKind]:
