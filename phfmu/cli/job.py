@@ -91,10 +91,17 @@ def whole(args: argparse.Namespace, s: Scene, declaration: PHDAE, why: list[str]
         return sensitive(args, model, instance) if names_of(args) else Monolithic(model, instance)
 
     head = label([scheme], f"{engine} engine", MONOLITHIC.name)
-    if derived := names_of(args):
-        head += f", with derivatives by {', '.join(derived)}"
-        require_equal_steps(args, engine)
+    head += _derived(args, engine)
     return Job(s, head, engine != "fmu", build, why, scheme.order, made)
+
+
+def _derived(args: argparse.Namespace, engine: str) -> str:
+    """What the head line says of derivatives; ValueError for options that these do not go with."""
+    names = names_of(args)
+    if not names:
+        return ""
+    require_equal_steps(args, engine)
+    return f", with derivatives by {', '.join(names)}"
 
 
 def _steps(args: argparse.Namespace, s: Scene) -> float:
@@ -284,9 +291,7 @@ def apart(
     words = coupling.held if most <= coupling.order else f"units of order {most:g}"
     said = coupling.words + _number(network) + SAID[exchange]
     head = label(list(schemes.values()), stepping.words, said, most, words)
-    if derived := names_of(args):
-        head += f", with derivatives by {', '.join(derived)}"
-        require_equal_steps(args, stepping.words)
+    head += _derived(args, stepping.words)
     notes += _order_lost(args.order, coupling, most, [members.whole.why_held(n) for n in alone])
     order = None if network.units or not schemes else min(most, *(scheme.order for scheme in schemes.values()))
     return Job(s, head, False, build, notes, order, made)

@@ -52,11 +52,22 @@ def add_one_model(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--project", action="store_true", help="move an inconsistent start onto its constraints")
 
 
+def _sound_scene(args: argparse.Namespace) -> Scene:
+    """The scene of the target with the values of --set, which `check` has nothing against, nor against its events."""
+    from phfmu.cli.job import with_given
+    from phfmu.cli.options import scene_of
+    from phfmu.cli.sound import require_sound_scene
+
+    scene = with_given(args, scene_of(args))
+    require_sound_scene(args, scene)
+    if scene.events:
+        require_sound_scene(args, scene, scene.events)
+    return scene
+
+
 def members_apart(args: argparse.Namespace, coupling: str) -> MembersApart:
     """The network of the target with all declared members stepped apart; ValueError for what is no network, or has units."""
-    from phfmu.cli.job import with_given
-    from phfmu.cli.options import scene_of, scheme_of
-    from phfmu.cli.sound import require_sound_scene
+    from phfmu.cli.options import scheme_of
     from phfmu.cli.stepping import engine_of, instance_of
     from phfmu.discretise.model import build_model
     from phfmu.network.couplings.coupled import Coupled
@@ -64,10 +75,7 @@ def members_apart(args: argparse.Namespace, coupling: str) -> MembersApart:
     from phfmu.network.members.engine_member import EngineMember
     from phfmu.network.network import Network
 
-    scene = with_given(args, scene_of(args))
-    require_sound_scene(args, scene)
-    if scene.events:
-        require_sound_scene(args, scene, scene.events)
+    scene = _sound_scene(args)
     network = scene.system
     if not isinstance(network, Network) or network.units:
         raise ValueError(f"{args.target}: --coupling {coupling} needs a network of declared members")
@@ -87,16 +95,11 @@ def one_model(args: argparse.Namespace) -> OneModel:
     """The model of the target; ValueError for values and events that `check` refuses, with --no-check for none."""
     from functools import partial
 
-    from phfmu.cli.job import with_given
-    from phfmu.cli.options import scene_of, scheme_of
-    from phfmu.cli.sound import require_sound_scene
+    from phfmu.cli.options import scheme_of
     from phfmu.cli.stepping import engine_of, instance_of
     from phfmu.discretise.model import build_model
 
-    scene = with_given(args, scene_of(args))
-    require_sound_scene(args, scene)
-    if scene.events:
-        require_sound_scene(args, scene, scene.events)
+    scene = _sound_scene(args)
     declaration = scene.declaration()
     model = build_model(declaration, scheme_of(args, declaration))
     step = scene.step if args.step is None else args.step
