@@ -22,7 +22,7 @@ from phfmu import (
 from phfmu.components.mechanical.mechanisms import box_on_floor, car_axis, gear_train, rope_bridge
 from phfmu.components.mechanical.multibody import Mechanism
 from phfmu.network.couplings.unit import FMUStepper
-from tests.wide import wide
+from tests.wide import longer, wide
 
 G = 9.81
 
@@ -124,9 +124,9 @@ SHORT = [(gear_train, 1e-3, 0.5), (car_axis, 2e-3, 1.0), (rope_bridge, 5e-3, 0.5
 LONG = [(gear_train, 1e-3, 5.0), (car_axis, 1e-3, 30.0), (rope_bridge, 5e-3, 50.0), (box_on_floor, 2e-3, 30.0)]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("order", [2, 6])
-@pytest.mark.parametrize("version", ["2.0", "3.0"])
+@pytest.mark.parametrize(
+    ("version", "order"), longer([(v, k) for v in ("2.0", "3.0") for k in (2, 6)], ("2.0", 2), ("3.0", 6))
+)
 @pytest.mark.parametrize(("made", "step", "stop"), SHORT)
 def test_units_of_mechanisms_are_their_runs(
     made: Any, step: float, stop: float, version: str, order: int, tmp_path: Any

@@ -23,7 +23,7 @@ from phfmu import (
 )
 from phfmu.components.mechanical.multibody import Mechanism
 from phfmu.network.couplings.unit import FMUStepper
-from tests.wide import slow
+from tests.wide import longer
 
 G, E = 9.81, 0.6
 THIN, LINKS = 1.0 / 12.0, (1.0, 2.0, 1.5)
@@ -138,7 +138,7 @@ def test_a_loop_of_thin_links_on_its_stop_is_that_of_one_angle(order: int, step:
     assert energy[-1] - energy[0] == pytest.approx(-lost, abs=most)
 
 
-@pytest.mark.parametrize("version", [slow("2.0"), slow("3.0")])
+@pytest.mark.parametrize("version", longer(("2.0", "3.0"), "3.0"))
 def test_a_unit_of_a_thin_loop_is_thrown_back_as_in_the_engine(version: str, tmp_path: Path, compiler: None) -> None:
     declaration = loop()
     model = build_model(declaration, default_scheme(declaration, 2))
