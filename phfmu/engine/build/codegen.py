@@ -15,7 +15,6 @@ import hashlib
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import casadi as ca
 
@@ -29,6 +28,8 @@ from phfmu.schur.text import NO_STEPPER, stepper_text
 
 #: above this many instructions a kernel is a call, below it is inlined into its loops
 INLINE = 2000
+#: above this many the compiler translates a kernel as it is written: what it takes to improve one grows faster than its length
+PLAIN = 50_000
 
 #: the row of a table without kernels
 NO_ROW = "    {0, 0, 0, 0, 0, 0, 0, 0, 0, 0},\n"
@@ -38,6 +39,9 @@ DEFINED = {
     "return fmin(x, y);": "return x < y || y != y ? x : y;",
     "return fmax(x, y);": "return x > y || y != y ? x : y;",
 }
+
+#: the questions of generated code whether an argument or a result has a place
+GIVEN = re.compile(r"arg\[\d+\]\? (arg\[\d+\]\[\d+\]) : 0|if \(res\[\d+\]!=0\) (?=res\[)")
 
 HEAD = """\
 /* Generated. Kernels of a discretised model: values with Jacobians, and ledgers. */
@@ -49,6 +53,13 @@ HEAD = """\
 #define PH_INLINE static inline __attribute__((always_inline))
 #else
 #define PH_INLINE static inline
+#endif
+#if defined(__clang__)
+#define PH_PLAIN static __attribute__((optnone, noinline))
+#elif defined(__GNUC__)
+#define PH_PLAIN static __attribute__((optimize("O0"), noinline))
+#else
+#define PH_PLAIN static
 #endif
 """
 
@@ -91,21 +102,26 @@ def _bodies(text: str) -> dict[str, str]:
     return dict(found)
 
 
-def _renamed(name: str, f: ca.Function) -> ca.Function:
+def _renamed(name: str, f: ca.Function, outputs: int | None) -> ca.Function:
     args = f.sx_in()
-    return ca.Function(name, args, f.call(args), {"allow_free": False})
+    return ca.Function(name, args, f.call(args)[:outputs], {"allow_free": False})
 
 
-def body(f: ca.Function) -> Body:
-    renamed = _renamed("f", f)
+def body(f: ca.Function, outputs: int | None = None) -> Body:
+    """The function, or one of its first `outputs` alone with the operations that these need."""
+    renamed = _renamed("f", f, outputs)
     content = _bodies(_generate([renamed]))["f"]
     # work sizes belong to the content: they are written into the table beside it
     name = "k_" + hashlib.sha256(content.encode()).hexdigest()[:16]
-    return Body(name, _renamed(name, f))
+    return Body(name, _renamed(name, f, outputs))
 
 
 def functions_text(bodies: dict[str, Body], called: bool = False) -> str:
-    """Definitions of all functions, with the helpers they need, and nothing exported; `called`: as ph_functions."""
+    """Definitions of all functions, with the helpers they need, and nothing exported; `called`: as ph_functions.
+
+    Kernels, which are not `called`, have places for all arguments and results. Without the questions for them that CasADi writes
+    a kernel is one block of instructions, which compilers take several times faster.
+    """
     text = _generate(bodies[name].function for name in sorted(bodies))
     helpers = re.sub(r"/\* Symbol visibility.*?^#endif\n", "", text, flags=re.M | re.S)
     helpers = re.split(r"^(?:/\* Configuration|CASADI_SYMBOL_EXPORT|static )", helpers, flags=re.M)[0]
@@ -116,21 +132,21 @@ def functions_text(bodies: dict[str, Body], called: bool = False) -> str:
     found = _bodies(text)
     parts = [helpers]
     for name in sorted(bodies):
-        small = not called and bodies[name].function.n_instructions() <= INLINE
-        text = found[name].replace("(", "(const ph_function *self, ", 1) if called else found[name]
-        parts.append(f"{'PH_INLINE' if small else 'static'} int {name}{text}")
+        size = bodies[name].function.n_instructions()
+        kind = "PH_INLINE" if size <= INLINE and not called else "static" if size <= PLAIN else "PH_PLAIN"
+        text = found[name].replace("(", "(const ph_function *self, ", 1) if called else GIVEN.sub(r"\1", found[name])
+        parts.append(f"{kind} int {name}{text}")
     return "\n".join(parts)
 
 
-def _entry(kernel: Kernel, function: Body, ledger: Body | None) -> tuple[str, str, str]:
+def _entry(kernel: Kernel, value: Body, full: Body, ledger: Body | None) -> tuple[str, str, str]:
     """Name of a table entry, the include of its loops, and its row."""
     sizes = {"NX": kernel.nx, "NY": kernel.ny, "NP": kernel.np, "NO": kernel.no, "NJ": kernel.nj}
-    work = function.sizes
-    if ledger:
-        work = {k: max(v, ledger.sizes[k]) for k, v in work.items()}
-    key = repr((function.name, ledger.name if ledger else None, sizes, work))
+    parts = [value, full, *([ledger] if ledger else [])]
+    work = {k: max(part.sizes[k] for part in parts) for k in full.sizes}
+    key = repr(([part.name for part in parts], sizes, work))
     name = "g_" + hashlib.sha256(key.encode()).hexdigest()[:16]
-    macros = {"NAME": name, "KERNEL": function.name} | ({"LEDGER": ledger.name} if ledger else {})
+    macros = {"NAME": name, "VALUE": value.name, "FULL": full.name} | ({"LEDGER": ledger.name} if ledger else {})
     macros |= {"NUMERICAL": ""} if kernel.loses_energy else {}
     macros |= sizes | {f"SZ_{k}": v for k, v in work.items()}
     include = "".join(f"#define PH_{k} {v}\n" for k, v in macros.items()) + '#include "group.inc"\n'
@@ -149,9 +165,10 @@ def kernel_table(
     rows = ""
     for member in found.members:
         kernel = member.kernel
-        pair: list[Any] = [None if f is None else body(f) for f in (kernel.function, kernel.ledger)]
-        bodies |= {b.name: b for b in pair if b}
-        name, entries[name], row = _entry(kernel, pair[0], pair[1])
+        value, full = body(kernel.function, 1), body(kernel.function)
+        ledger = None if kernel.ledger is None else body(kernel.ledger)
+        bodies |= {b.name: b for b in (value, full, ledger) if b}
+        name, entries[name], row = _entry(kernel, value, full, ledger)
         rows += row
     text = HEAD + (functions_text(bodies) if bodies else "")
     text += "\n" + "\n".join(entries[n] for n in sorted(entries))
