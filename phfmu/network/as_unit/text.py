@@ -14,15 +14,17 @@ import numpy as np
 from phfmu.discretise.model import Model
 from phfmu.engine.build.codegen import kernel_table, port_text, tangent_text
 from phfmu.engine.build.kernels import Kernels
-from phfmu.engine.build.tables import ARRAYS, array_text, c_text
+from phfmu.engine.build.tables import ARRAYS, array_text, c_text, events_text
 from phfmu.engine.impulses import port_kernels
 from phfmu.engine.model import kernels
+from phfmu.fmu.words import c_string
 from phfmu.fmu.xml import number
 from phfmu.network.as_unit.embedded import Embedded
 from phfmu.network.couplings.compiled.master import Master
 from phfmu.network.couplings.compiled.master_library import HEADER, START_TRIALS
 from phfmu.network.couplings.coupled import Coupled
 from phfmu.network.members.engine_member import EngineMember
+from phfmu.signals import of_member
 
 #: solver of the master -> its files besides those of Newton's
 SOLVER_FILES = {
@@ -85,6 +87,8 @@ def network_files(whole: Coupled, master: Master, members: Sequence[Model | Embe
         for i in next(n for n in numbers if n[0] == first):
             tangents = f"ph_tangents{first}" if models[i].step.nu else "0"
             files[f"member{i}.c"] = c_text(models[i], table.index, f"ph_member{i}", tangents, f"ph_code{first}")
+            if (events := models[i].events) is not None:
+                files[f"guards{i}.c"] = events_text(events, table.index, f"ph_guards{i}")
     made: dict[int, int] = {}
     for i, k in ports.items():
         if k is not None and made.setdefault(id(k), i) == i:
@@ -115,6 +119,12 @@ def _network_text(
             what = f".model = &ph_member{i}, .ports = {'0' if port is None else f'&ph_ports{port}'}, .native = {n}"
             externs += f"extern const ph_model ph_member{i};\n"
             externs += "" if port is None else f"extern const ph_ports ph_ports{port};\n"
+            if member.events is not None:
+                externs += f"extern const ph_events ph_guards{i};\n"
+                what += f", .inside = &inside{i}"
+                tables.arrays.append(
+                    _inside(i, [of_member(whole.joined.members[i].name, n) for n in member.events.names])
+                )
         tables.arrays.append(_rooms(f"rooms{i}", [*own, *more]))
         rows.append(
             f"    {{{what},\n     .share = {s},\n"
@@ -142,6 +152,7 @@ def _network_text(
 #include <math.h>
 
 #include "{"embedded.h" if any(isinstance(m, Embedded) for m in members) else "network.h"}"
+{"" if all(m.events is None for m in members if not isinstance(m, Embedded)) else '#include "member_landing.h"'}
 {"".join(f'#include "{name}"' + chr(10) for name in SOLVER_FILES[master.solver] if name.endswith(".h"))}
 {externs}
 {"".join(tables.arrays)}
@@ -160,10 +171,20 @@ const ph_network ph_the_network = {{
 {held}    .signals = {len(whole.joined.face.names)},
     .room = {tables.room},
     .step = {number(step)},
-    .trials = {START_TRIALS if whole.from_short_steps else 1},
+    .trials = {START_TRIALS if whole.from_short_steps or not any(isinstance(m, Embedded) for m in members) else 1},
 {given}    .njunction = {len(first) - 1},
 }};
 """
+
+
+def _inside(i: int, names: Sequence[str]) -> str:
+    """The state events of member i, whose guards have these names."""
+    listed = ", ".join(map(c_string, names))
+    functions = "".join(f", .{n} = ph_inside_{n}" for n in ("make", "kind", "happened", "refusal"))
+    return (
+        f"static const char *const guards{i}[] = {{{listed}}};\n"
+        f"static const ph_inside inside{i} = {{.events = &ph_guards{i}, .names = guards{i}{functions}}};\n"
+    )
 
 
 def _held(tables: Tables, master: Master) -> str:

@@ -7,7 +7,7 @@ ends a call with all members at its start, and is told as an exception.
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from time import perf_counter
 from typing import Any
@@ -31,6 +31,7 @@ from phfmu.network.couplings.unconverged import Accepting, plain
 from phfmu.network.interface.end_sums import EndSums
 from phfmu.network.interface.instant import Instant, regular
 from phfmu.network.interface.joined import Joined
+from phfmu.network.members.member import Member
 from phfmu.outcome.status import Status, StepFailure
 from phfmu.outcome.steps import StepEvent, Steps
 from phfmu.plan.ordering import StructurallySingular
@@ -475,14 +476,16 @@ def master(
     works: bool = False,
     threads: int | None = None,
     signals: HeldSignals | None = None,
+    share: Callable[[Member], Make] = own_share,
 ) -> Master:
     """The compiled steps of members under a coupling; what is done with steps that do not converge is asked of its policy.
 
     `works`: whether energies of unknowns at their junctions are wanted;  `threads`: None chooses;  `signals`: those that are held
-    over steps by the master, None: by others, or there are none.  Errors: StepFailure where the rows of the junctions cannot be
-    solved whatever the members do.
+    over steps by the master, None: by others, or there are none;  `share`: makes the share of a member.
+
+    Errors: StepFailure where the rows of the junctions cannot be solved whatever the members do.
     """
-    makes = [own_share(m) for m in joined.members]
+    makes = [share(m) for m in joined.members]
     held = signals.held if signals else ()
     found = exchanged(joined, plain(coupling), held)
     try:

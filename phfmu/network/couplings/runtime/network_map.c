@@ -293,6 +293,26 @@ static int follow_signals(ph_whole *w) {
     return PH_OK;
 }
 
+/* State events inside the step that members have taken; what they set. */
+static void book_events(ph_whole *w) {
+    int any = 0;
+    for (int i = 0; i < w->about->nmember; i++) {
+        const ph_whole_member *m = &w->members[i];
+        const ph_happened *own = m->inside ? w->about->members[i].inside->happened(m->inside) : NULL;
+        if (!own || !own->count)
+            continue;
+        any = 1;
+        w->happened.last = w->happened.count ? fmax(w->happened.last, own->last) : own->last;
+        w->happened.count += own->count;
+        for (int c = 0; c < m->sizes.ncomp; c++) {
+            w->happened.energy[m->comp + c] += own->energy[c];
+            w->happened.lost[m->comp + c] += own->lost[c];
+        }
+    }
+    if (any)
+        ph_whole_gather_parameters(w);
+}
+
 /* One internal step. */
 static int step(ph_whole *w, double t, double h, int number) {
     ph_master *m = &w->master;
@@ -320,6 +340,7 @@ static int step(ph_whole *w, double t, double h, int number) {
     *w->h = h;
     if (w->held.n)
         ph_whole_gather_parameters(w);
+    book_events(w);
     average(w);
     ph_whole_gather(w);
     book(w);
@@ -328,6 +349,8 @@ static int step(ph_whole *w, double t, double h, int number) {
 
 static int step_parts(void *of, double t, double h, int n) {
     ph_whole *w = of;
+    w->happened.count = 0;
+    ph_clear(w->happened.energy, 2 * w->sizes.ncomp);
     if (n > 1 && ph_whole_returns(w->about)) {
         const int status = ph_whole_save(w, w->before);
         if (status)

@@ -15,6 +15,7 @@ typedef struct ph_whole_member {
     ph_impulses *kicks; /* or NULL */
     void *chain;        /* an instance for derivatives, or NULL */
     void *states;       /* where it was: two of the instance, one of the impulses */
+    void *inside;       /* what lands on its state events, owned, or NULL */
     ph_native native;
     int offset[PH_NBLOCK + 1]; /* in its table */
     int first[PH_NBLOCK];      /* in the table of all */
@@ -46,6 +47,7 @@ typedef struct ph_whole {
     int begun;    /* the junctions are those of the start under the present values */
     int sampled;  /* held signals are what their sources tell */
     long long *count;
+    ph_happened happened; /* in the last communication step */
     ph_report report;
     int part;
 } ph_whole;
