@@ -24,6 +24,7 @@ from phfmu.fmu.export.outward import require_ports, turned
 from phfmu.fmu.export.schedule import fed_inside
 from phfmu.fmu.export.variables import FMUError, FMUVariable, listed
 from phfmu.network.as_unit.embedded import Embedded
+from phfmu.network.as_unit.landers import Landers
 from phfmu.network.as_unit.text import SOLVER_FILES, network_files
 from phfmu.network.couplings.compiled.master import Master
 from phfmu.network.couplings.compiled.shares import Make, NativeShare, own_share
@@ -58,7 +59,9 @@ OTHER_MASTERS = ("crew.c", "unit.c")
 #: and what it has where units of other tools are in it
 CALLS = ("unit.h", "unit_call.c", "unit_fmi2.c", "unit_fmi3.c")
 #: and where members have state events
-LANDING = ("member_landing.c", "member_landing.h", "network_landing.c", "network_landing.h")
+LANDING = ("network_landing.c", "network_landing.h")
+#: where they land together with all others, and inside their steps
+LANDERS, INSIDE = ("network_lander.c", "network_lander.h"), ("member_landing.c", "member_landing.h")
 #: blocks of a model -> what of a plan is as long; others are as long as there are components
 _LENGTHS = {
     "x": "nx", "a": "na", "a_end": "na", "y_step": "nq", "y_end": "nq", "energy": "nq", "row_pairs": "nq", "parameter": "np",
@@ -169,7 +172,16 @@ class NetworkUnit(Unit):
         return {n: data for m in self.units for n, data in m.files(platforms).items()}
 
     def texts(self) -> dict[str, str]:
-        return network_files(self.whole, self.master, self.models, self.step)
+        return network_files(self.whole, self.master, self.models, self.step, self.together)
+
+    @cached_property
+    def together(self) -> Landers | None:
+        """Members that land together; None if there are none."""
+        members = enumerate(self.whole.joined.members)
+        own = [i for i, m in members if isinstance(m, EngineMember) and m.together]
+        models = tuple(m for i, m in enumerate(self.models) if i in own and not isinstance(m, Embedded))
+        names = tuple(self.whole.joined.members[i].name for i in own)
+        return Landers(models, tuple(own), names, len(self.models)) if own else None
 
     def drivers(self) -> dict[str, Path]:
         found = driver_sources("network/couplings", "network/as_unit")
@@ -178,6 +190,8 @@ class NetworkUnit(Unit):
             *OTHER_MASTERS,
             *(() if self.units else (*CALLS, *(name for name in found if name.startswith("embedded")))),
             *(() if self.lands else LANDING),
+            *(() if self.together else LANDERS),
+            *(() if len(self.landing_members) > len(self.together.members if self.together else ()) else INSIDE),
             *(name for files in SOLVER_FILES.values() for name in files if name not in own),
         }
         return {name: path for name, path in found.items() if name not in others}
@@ -361,6 +375,23 @@ def _stepped_in_c(member: Member) -> Make:
     return NativeShare if isinstance(member, EngineMember) else own_share(member)
 
 
+def _not_landed(whole: Coupled) -> str:
+    """Why a unit cannot land on the state events of members as a run does; "" if it can."""
+    together = [m for m in whole.joined.members if isinstance(m, EngineMember) and m.together]
+    inside = [m.name for m in whole.joined.members if isinstance(m, EngineMember) and m.model.events and not m.together]
+    names = ", ".join(m.name for m in together[:4])
+    exchange = plain(whole.coupling).exchange if isinstance(plain(whole.coupling), Newton) else None
+    if exchange is not None and exchange.whole:
+        return f"guards of {names} read what others give, so that all members land as one composed declaration"
+    if together and inside:
+        return f"{names} land on state events together with all others, and {', '.join(inside[:4])} inside their steps"
+    if exchange is not None and (shared := [m.name for m in together if m.name in exchange.shared.of]):
+        return f"jumps of {', '.join(shared[:4])} act on other members"
+    if len({m.model.step.k for m in together}) > 1:
+        return f"{names} land together and have different orders"
+    return ""
+
+
 def coupled_members(
     network: Network, coupling: Named, schemes: Mapping[str, Scheme], step: float, found: Mapping[str, Rollback]
 ) -> tuple[Coupled, list[Model | Embedded]]:
@@ -399,11 +430,8 @@ def coupled_members(
             members.append(unit)
             models.append(Embedded(unit, member))
     whole = Coupled(network, members, coupling.make)
-    if some := [m.name for m in members if isinstance(m, EngineMember) and m.together]:
-        raise FMUError(
-            f"{network.name}: {', '.join(some[:4])} land on their state events together with all others, which a unit does not "
-            "do; take --order 2, or --coupling gauss-seidel or anderson, or export it composed, without --as-unit"
-        )
+    if reason := _not_landed(whole):
+        raise FMUError(f"{network.name}: {reason}; export it composed, without --as-unit")
     if some := whole.across():
         raise FMUError(
             f"{network.name}: the jumps of {', '.join(some[:4])} move what other members share, and no impulse reaches these "

@@ -25,7 +25,11 @@ int fmu_network_step(fmu *f, double t, double h, int n, int *stopped) {
 
 int fmu_network_refused(const fmu *f, const char *function) {
     const ph_whole *w = f->of;
-    const ph_inside *inside = w->about->members[w->part].inside;
+    const ph_lander *lander = w->about->lander;
+    const ph_inside *inside;
+    if (lander)
+        return fmu_event_refused(f, function, lander->refusal(w->lander), lander->events->n, lander->names);
+    inside = w->about->members[w->part].inside;
     return fmu_event_refused(f, function, inside->refusal(w->members[w->part].inside), inside->events->n,
                              inside->names);
 }

@@ -438,6 +438,7 @@ class Master:
             "nwire": len(e.wires), "factor": e.factors,
             **{f"wire_{name}": e.wires[:, i].copy() for i, name in enumerate(("source", "output", "target", "input"))},
             "points": POINTS, "cosines": np.cos(angles) ** 2, "weights": e.weights, "at_end": e.at_ends,
+            "node": np.concatenate([np.zeros(0), *(nodes(int(k)).c for k in np.bincount(e.column))]),
             "at_begin": e.at_starts, "nominal": nominal, "column": e.column,
             "tried": np.zeros(2 * START_TRIALS * e.columns), "refused": 0,
             "bare_column": e.bare, "skew_row": e.skew_row, "skew_col": e.skew_col, "skew_entry": p.skew, "skew": e.skew,

@@ -60,6 +60,22 @@ typedef struct ph_network_member {
     const ph_room *rooms; /* nroom + nnative */
 } ph_network_member;
 
+/* State events of members that all land on together (as_unit/runtime/network_lander.c). */
+struct ph_whole;
+typedef struct ph_lander {
+    const ph_model *model; /* of the members with events, side by side */
+    const struct ph_events *events;
+    const char *const *names; /* of the guards */
+    int n;
+    const int *members;                 /* n */
+    const struct ph_events *const *own; /* n: their events, which are those of the model in this order */
+    void *(*make)(struct ph_whole *w, const struct ph_lander *about); /* NULL: there is no memory */
+    void (*release)(void *of);
+    int (*land)(void *of, double t, double h, int n); /* a communication step in n equal parts; a ph_status */
+    double *(*rates)(const void *of);                 /* events->n, with which it goes on */
+    const struct ph_event_refusal *(*refusal)(const void *of);
+} ph_lander;
+
 typedef struct ph_network {
     int nmember;
     const ph_network_member *members; /* nmember */
@@ -81,6 +97,8 @@ typedef struct ph_network {
     int trials;                /* steps that tell the start */
     const double *start;       /* master.ncolumn: what the first trial starts from */
     const double *free;        /* inputs of all members besides those of junctions, at the start */
+    const ph_lander *lander;   /* NULL: members do not land together */
+    int nlanded;               /* its events */
     int njunction;
     const int *junction; /* njunction+1: where the pairs of each begin */
     const int *pair;     /* places among the pairs of all members */

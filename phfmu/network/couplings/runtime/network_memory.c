@@ -146,7 +146,9 @@ static int make_master(ph_whole *w) {
     m->lu = w->lu;
     ph_master_lu_init(m);
     w->before = calloc(1, ph_whole_state_size(w));
-    return w->before != NULL;
+    if (n->lander)
+        w->lander = n->lander->make(w, n->lander);
+    return w->before != NULL && (w->lander || !n->lander);
 }
 
 int ph_whole_make(ph_whole *w) {
@@ -166,6 +168,8 @@ void ph_whole_release(void *of) {
     ph_whole *w = of;
     if (w->before)
         ph_whole_forget(w, w->before);
+    if (w->lander)
+        w->about->lander->release(w->lander);
     for (int i = 0; w->members && i < w->about->nmember; i++) {
         const ph_whole_member *m = &w->members[i];
         if (m->of && m->map->release)
