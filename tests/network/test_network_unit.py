@@ -299,14 +299,6 @@ def test_unit_is_a_member_of_another_network(tmp_path: Path, version: str, compi
 @pytest.mark.parametrize(
     ("line", "said"),
     [
-        (
-            "clutch_engagement --as-unit",
-            "clutch have ideal switches, which the coupling inside a unit does not land on",
-        ),
-        (
-            "buffer --as-unit --order 4",
-            "body land on their state events together with all others, which a unit does not do",
-        ),
         ("smib --as-unit --coupling jacobi", "no output gives bus1.v[1], bus1.v[2], bus1.v[3] at an instant"),
         (
             "drive --as-unit --coupling gauss-seidel --sequence motor,load",
