@@ -383,6 +383,11 @@ def _not_landed(whole: Coupled) -> str:
     exchange = plain(whole.coupling).exchange if isinstance(plain(whole.coupling), Newton) else None
     if exchange is not None and exchange.whole:
         return f"guards of {names} read what others give, so that all members land as one composed declaration"
+    units = [m for m in whole.joined.members if not isinstance(m, EngineMember)]
+    if together and units:
+        return f"{names} land on state events together with units of other tools ({', '.join(m.name for m in units[:4])})"
+    if inside and (lost := [m.name for m in units if not m.saves]):
+        return f"{', '.join(inside[:4])} have state events, and {', '.join(lost[:4])} cannot save their states"
     if together and inside:
         return f"{names} land on state events together with all others, and {', '.join(inside[:4])} inside their steps"
     if exchange is not None and (shared := [m.name for m in together if m.name in exchange.shared.of]):
