@@ -16,6 +16,10 @@ from phfmu.engine.build.tables import array_text, c_text, events_text
 from phfmu.engine.model import kernels
 from phfmu.events.event_plan import EventPlan
 from phfmu.fmu.words import c_string
+from phfmu.network.couplings.coupled import Coupled
+from phfmu.network.couplings.newton import Newton
+from phfmu.network.couplings.unconverged import plain
+from phfmu.network.members.engine_member import EngineMember
 from phfmu.network.network import Network
 from phfmu.schemes.collocated import Collocated
 
@@ -60,6 +64,10 @@ class Landers:
             f"guards{n}.c": events_text(without_inputs(model), table.index, f"ph_guards{n}"),
         }
 
+    def fields(self) -> str:
+        """Fields of ph_network."""
+        return f"    .lander = &lander,\n    .nlanded = {without_inputs(self.model).n},\n"
+
     def text(self) -> str:
         """What defines `lander`, a ph_lander."""
         n = self._number
@@ -86,3 +94,27 @@ def without_inputs(model: Model) -> EventPlan:
     rated = plan.rated.copy()
     rated[reading] = 0
     return replace(plan, rated=rated, rates=tuple(g for g in plan.rates if not g.yi.shape[1]))
+
+
+def not_landed(whole: Coupled) -> str:
+    """Why a unit cannot land on the state events of members as a run does; "" if it can."""
+    together = [m for m in whole.joined.members if isinstance(m, EngineMember) and m.together]
+    inside = [m.name for m in whole.joined.members if isinstance(m, EngineMember) and m.model.events and not m.together]
+    names = ", ".join(m.name for m in together[:4])
+    exchange = inner.exchange if isinstance(inner := plain(whole.coupling), Newton) else None
+    if exchange is not None and exchange.whole:
+        return f"guards of {names} read what others give, so that all members land as one composed declaration"
+    units = [m for m in whole.joined.members if not isinstance(m, EngineMember)]
+    if together and units:
+        return (
+            f"{names} land on state events together with units of other tools ({', '.join(m.name for m in units[:4])})"
+        )
+    if inside and (lost := [m.name for m in units if not m.saves]):
+        return f"{', '.join(inside[:4])} have state events, and {', '.join(lost[:4])} cannot save their states"
+    if together and inside:
+        return f"{names} land on state events together with all others, and {', '.join(inside[:4])} inside their steps"
+    if exchange is not None and (shared := [m.name for m in together if m.name in exchange.shared.of]):
+        return f"jumps of {', '.join(shared[:4])} act on other members"
+    if len({m.model.step.k for m in together}) > 1:
+        return f"{names} land together and have different orders"
+    return ""

@@ -161,10 +161,8 @@ def _network_text(
     with_events = [i for i, m in enumerate(members) if not isinstance(m, Embedded) and m.events is not None]
     headers = ["network_lander.h"] if together else []
     headers += ["member_landing.h"] if {*with_events} - {*(together.members if together else ())} else []
-    lander = ""
     if together:
         tables.arrays.append(together.text())
-        lander = f"    .lander = &lander,\n    .nlanded = {together.model.events.n},\n"
     given = "".join(f"    .{n} = {f'network_{n}' if len(a) else '0'},\n" for n, (_, a) in lists.items())
     return f"""\
 /* Generated. The members of {len(rows)} models, and how they are coupled. */
@@ -191,7 +189,7 @@ const ph_network ph_the_network = {{
     .room = {tables.room},
     .step = {number(step)},
     .trials = {START_TRIALS if whole.from_short_steps or not any(isinstance(m, Embedded) for m in members) else 1},
-{given}{lander}    .njunction = {len(first) - 1},
+{given}{together.fields() if together else ""}    .njunction = {len(first) - 1},
 }};
 """
 

@@ -24,7 +24,7 @@ from phfmu.fmu.export.outward import require_ports, turned
 from phfmu.fmu.export.schedule import fed_inside
 from phfmu.fmu.export.variables import FMUError, FMUVariable, listed
 from phfmu.network.as_unit.embedded import Embedded
-from phfmu.network.as_unit.landers import Landers
+from phfmu.network.as_unit.landers import Landers, not_landed
 from phfmu.network.as_unit.text import SOLVER_FILES, network_files
 from phfmu.network.couplings.compiled.master import Master
 from phfmu.network.couplings.compiled.shares import Make, NativeShare, own_share
@@ -314,11 +314,12 @@ class NetworkUnit(Unit):
             yield Quantity(name, "output", "happened", i, 1, None, unit, description=text)
         first = 0
         for member, m in self.members:
-            names = [] if isinstance(m, Embedded) else [n for v in m.declaration.parameters for n in v.names()]
-            for mode in () if isinstance(m, Embedded) else m.declaration.modes:
-                own, i = of_member(member, mode), names.index(mode)
-                text = f"mode {own}, set by state events"
-                yield Quantity(MODE + own, "local", "mode", first + i, 1, float(m.p0[i]), description=text)
+            if not isinstance(m, Embedded):
+                names = [n for v in m.declaration.parameters for n in v.names()]
+                for mode in m.declaration.modes:
+                    own, i = of_member(member, mode), names.index(mode)
+                    text = f"mode {own}, set by state events"
+                    yield Quantity(MODE + own, "local", "mode", first + i, 1, float(m.p0[i]), description=text)
             first += m.step.np
 
     def _junctions(self, first: int) -> Iterator[Quantity]:
@@ -375,28 +376,6 @@ def _stepped_in_c(member: Member) -> Make:
     return NativeShare if isinstance(member, EngineMember) else own_share(member)
 
 
-def _not_landed(whole: Coupled) -> str:
-    """Why a unit cannot land on the state events of members as a run does; "" if it can."""
-    together = [m for m in whole.joined.members if isinstance(m, EngineMember) and m.together]
-    inside = [m.name for m in whole.joined.members if isinstance(m, EngineMember) and m.model.events and not m.together]
-    names = ", ".join(m.name for m in together[:4])
-    exchange = plain(whole.coupling).exchange if isinstance(plain(whole.coupling), Newton) else None
-    if exchange is not None and exchange.whole:
-        return f"guards of {names} read what others give, so that all members land as one composed declaration"
-    units = [m for m in whole.joined.members if not isinstance(m, EngineMember)]
-    if together and units:
-        return f"{names} land on state events together with units of other tools ({', '.join(m.name for m in units[:4])})"
-    if inside and (lost := [m.name for m in units if not m.saves]):
-        return f"{', '.join(inside[:4])} have state events, and {', '.join(lost[:4])} cannot save their states"
-    if together and inside:
-        return f"{names} land on state events together with all others, and {', '.join(inside[:4])} inside their steps"
-    if exchange is not None and (shared := [m.name for m in together if m.name in exchange.shared.of]):
-        return f"jumps of {', '.join(shared[:4])} act on other members"
-    if len({m.model.step.k for m in together}) > 1:
-        return f"{names} land together and have different orders"
-    return ""
-
-
 def coupled_members(
     network: Network, coupling: Named, schemes: Mapping[str, Scheme], step: float, found: Mapping[str, Rollback]
 ) -> tuple[Coupled, list[Model | Embedded]]:
@@ -435,7 +414,7 @@ def coupled_members(
             members.append(unit)
             models.append(Embedded(unit, member))
     whole = Coupled(network, members, coupling.make)
-    if reason := _not_landed(whole):
+    if reason := not_landed(whole):
         raise FMUError(f"{network.name}: {reason}; export it composed, without --as-unit")
     if some := whole.across():
         raise FMUError(
