@@ -208,6 +208,30 @@ def test_a_state_saved_before_an_event_comes_back_to_the_bit(
         np.testing.assert_array_equal(rows[0], rows[2])
 
 
+@pytest.mark.slow
+def test_long_steps_tell_their_parts_as_one(tmp_path: Path, compiler: None) -> None:
+    """States are those of the internal steps, means are means and energies sums of them, through events."""
+    path = unit_of(balls(), tmp_path, 2, "3.0")
+    with importer(path) as fine, importer(path) as coarse:
+        means = [n for n in fine.refs if n.endswith("_step") and "energy" not in n] + [
+            "left.velocity",
+            "right.velocity",
+        ]
+        sums = [n for n in fine.refs if n.endswith("_step") and "energy" in n]
+        now = ["a.q", "a.v", "b.q", "b.v", "energy.stored", "energy.events", "events.count", "events.last"]
+        mean, total = np.zeros(len(means)), np.zeros(len(sums))
+        for k in range(120):
+            fine.step(k * 1e-2, 1e-2)
+            mean, total = mean + np.array(fine.get(means)) / 8, total + fine.get(sums)
+            if k % 8 == 7:
+                coarse.step((k - 7) * 1e-2, 8e-2)
+                np.testing.assert_allclose(coarse.get(now), fine.get(now), rtol=1e-12, atol=1e-13)
+                np.testing.assert_allclose(coarse.get(means), mean, rtol=1e-11, atol=1e-12)
+                np.testing.assert_allclose(coarse.get(sums), total, rtol=1e-10, atol=1e-13)
+                mean, total = 0 * mean, 0 * total
+        assert fine.get(["events.count"])[0] >= 5
+
+
 def test_a_refused_event_leaves_the_unit_where_it_was(tmp_path: Path, compiler: None) -> None:
     """The step is discarded, with the name of the guard and its numbers; a shorter one is taken."""
     path = unit_of(balls(most=1e-3), tmp_path, 2, "3.0")
