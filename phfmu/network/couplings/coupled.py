@@ -158,8 +158,8 @@ class Coupled:
         """A master of its own; `share`: makes the share of a member, None: as runs have it."""
         from phfmu.network.couplings.compiled.master import master
 
-        held, given = self._signals if self.samples_inside else None, {} if share is None else {"share": share}
-        return master(self.joined, self.coupling, bool(self._works.keys), self._threads, held, **given)
+        held = self._signals if self.samples_inside else None
+        return master(self.joined, self.coupling, bool(self._works.keys), self._threads, held, share)
 
     def across(self) -> list[str]:
         """State events inside the steps of members whose jumps would move what others share."""

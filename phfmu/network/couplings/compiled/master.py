@@ -477,16 +477,17 @@ def master(
     works: bool = False,
     threads: int | None = None,
     signals: HeldSignals | None = None,
-    share: Callable[[Member], Make] = own_share,
+    share: Callable[[Member], Make] | None = None,
 ) -> Master:
     """The compiled steps of members under a coupling; what is done with steps that do not converge is asked of its policy.
 
     `works`: whether energies of unknowns at their junctions are wanted;  `threads`: None chooses;  `signals`: those that are held
-    over steps by the master, None: by others, or there are none;  `share`: makes the share of a member.
+    over steps by the master, None: by others, or there are none;  `share`: makes the share of a member, None: as runs
+    have it.
 
     Errors: StepFailure where the rows of the junctions cannot be solved whatever the members do.
     """
-    makes = [share(m) for m in joined.members]
+    makes = [(share or own_share)(m) for m in joined.members]
     held = signals.held if signals else ()
     found = exchanged(joined, plain(coupling), held)
     try:
