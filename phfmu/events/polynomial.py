@@ -32,6 +32,7 @@ class Polynomial:
     def __call__(self, x: Array, unknowns: Array, tau: float) -> Array:
         """States at the fraction tau of a step from x (nx) with the unknowns w (nw)."""
         weights = self.nodes.integral(tau)[self.node]
-        out = x + np.bincount(self.state, weights * unknowns[self.w], self.nx)
+        out = x.copy()
+        np.add.at(out, self.state, weights * unknowns[self.w])  # one by one, as compiled code does
         np.add.at(out, self.start_state, unknowns[self.start_w])
         return out

@@ -42,8 +42,8 @@ class Fit:
     def coefficients(self, values: Array, from_zero: bool) -> Array:
         """Coefficients of the guard, or of guard/tau where the guard is zero at the start."""
         if from_zero:
-            return self.divided @ (values[1:] / self.tau[1:])
-        b = self.whole @ values
+            return _product(self.divided, values[1:] / self.tau[1:])
+        b = _product(self.whole, values)
         b[0], b[-1] = values[0], values[-1]
         return b
 
@@ -54,6 +54,11 @@ def fit(k: int) -> Fit:
     m = 2 * k + 1
     tau = (1.0 - np.cos(np.pi * np.arange(m + 1) / m)) / 2.0
     return Fit(tau, _inverse(tau), _inverse(tau[1:]))
+
+
+def _product(matrix: Array, values: Array) -> Array:
+    """matrix @ values, summed from the first column to the last, as compiled code does."""
+    return np.cumsum(matrix * values, axis=1)[:, -1].copy()
 
 
 def _inverse(tau: Array) -> Array:

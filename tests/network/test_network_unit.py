@@ -299,7 +299,6 @@ def test_unit_is_a_member_of_another_network(tmp_path: Path, version: str, compi
 @pytest.mark.parametrize(
     ("line", "said"),
     [
-        ("breaker_opening --as-unit", "have state events, which the coupling inside a unit does not land on"),
         ("smib --as-unit --coupling jacobi", "no output gives bus1.v[1], bus1.v[2], bus1.v[3] at an instant"),
         (
             "drive --as-unit --coupling gauss-seidel --sequence motor,load",

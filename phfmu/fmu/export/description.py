@@ -93,6 +93,16 @@ class Unit:
         """Its impulses; None without."""
         return kernels_of(self.model) if self.at_nodes else None
 
+    @property
+    def lands(self) -> bool:
+        """Whether it has state events."""
+        return self.model.events is not None
+
+    @property
+    def landing(self) -> str:
+        """C text that defines what lands on them, where that is no instance of one model."""
+        return ""
+
     def texts(self) -> dict[str, str]:
         """C files that are generated for it where it is more than one model: name -> text."""
         return {}

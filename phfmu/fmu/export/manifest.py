@@ -140,7 +140,7 @@ def manifest(unit: Unit) -> bytes:
     energy = etree.SubElement(root, "Energy")
     for what, _, _ in (*LEDGER, *STEP_LEDGER):
         energy.set(ENERGY.get(what, what), total(what))
-    if unit.jumps or unit.model.events is not None:
+    if unit.jumps or unit.lands:
         energy.set(JUMPED[0], total(JUMPED[0]))
     if constant := [
         v.name for v in unit.variables if v.name == total(CONSTANT) or v.name.endswith("." + total(CONSTANT))

@@ -30,8 +30,10 @@ HEADERS = Path(str(fmpy.__file__)).parent / "c-code"
 
 _PREFIXES = tuple(v.prefix for v in VERSIONS.values())
 
-#: files of units with inputs at the nodes of a step, of those whose ports take impulses, with state events, and with switches
-NODES, IMPULSES, LANDING, MODES = ("fmu_nodes.c",), ("impulses.c", "impulses.h"), ("fmu_landing.c",), ("fmu_modes.c",)
+#: files of units with inputs at the nodes of a step, of those whose ports take impulses, and with switches
+NODES, IMPULSES, MODES = ("fmu_nodes.c",), ("impulses.c", "impulses.h"), ("fmu_modes.c",)
+#: with state events, and of one model
+HAPPENED, LANDING = ("fmu_happened.c",), ("fmu_landing.c",)
 Sources = dict[str, str | Path]
 
 
@@ -68,15 +70,14 @@ def token(unit: Unit, equations: dict[str, str]) -> str:
 def fixed(unit: Unit) -> Sources:
     """The hand-written part of it: name -> path."""
     if drivers := unit.drivers():
-        return {
-            **runtime_sources(),
-            **drivers,
-            **{n: p for n, p in _layers().items() if n not in (*NODES, *LANDING, *MODES)},
-        }
-    events = unit.model.events is not None
+        absent = (*NODES, *LANDING, *MODES, *(() if unit.lands else HAPPENED))
+        layers = {n: p for n, p in _layers().items() if n not in absent}
+        return {**runtime_sources(*(["events"] if unit.lands else [])), **drivers, **layers}
+    events = unit.lands
     modes = unit.model.modes is not None
     parts = (*(["events"] if events else []), *(["modes"] if modes else []))
-    absent = (() if unit.at_nodes else NODES) + (() if unit.kernels else IMPULSES) + (() if events else LANDING)
+    absent = (() if unit.at_nodes else NODES) + (() if unit.kernels else IMPULSES)
+    absent += () if events else (*HAPPENED, *LANDING)
     absent += () if modes else MODES
     return {name: path for name, path in {**runtime_sources(*parts), **_layers()}.items() if name not in absent}
 
@@ -115,7 +116,7 @@ def names_text(sources: Sources, identifier: str) -> str:
     found.update(symbol for file, symbol in tables.items() if file in sources)
     found.update(symbols(sources))
     for name in sources:  # of members, which share kernels and ports with those like them
-        if match := re.fullmatch(r"(kernels|tangents|member|ports)(\d+)\.c", name):
+        if match := re.fullmatch(r"(kernels|tangents|member|ports|guards)(\d+)\.c", name):
             found.add(f"ph_{'code' if match[1] == 'kernels' else match[1]}{match[2]}")
     lines = "".join(f"#define {name} {identifier}_{name}\n" for name in sorted(found))
     return f"/* Generated. Names of {identifier}, for programs that several units are linked into. */\n{lines}"
@@ -163,10 +164,10 @@ def interface_text(unit: Unit, token: str) -> str:
     if unit.kernels:
         include, nodes = include + '#include "impulses.h"\n', nodes + "    .impulses = &impulses,\n"
         checks += _impulses_text(unit.kernels)
-    if model.events is not None:
+    if unit.lands:
         include, nodes = include + '#include "events.h"\n', nodes + "    .landing = &landing,\n"
         include += '#include "fmu_modes.h"\n#include "modes.h"\n' if model.modes else ""
-        checks += _landing_text(model)
+        checks += unit.landing or _landing_text(model)
     checks += f"static const fmu_event events[] = {{\n{_list(events)}}};\n" if events else ""
     checks += f"static const fmu_range ranges[] = {{\n{_list(ranges)}}};\n" if ranges else ""
     return f"""\

@@ -275,13 +275,17 @@ int fmu_landing_create(fmu *f);
 void fmu_landing_release(fmu *f);
 int fmu_landing_step(fmu *f, double t, double h, int n, int *stopped);
 int fmu_landing_refused(const fmu *f, const char *function);
-struct ph_event_refusal;
-int fmu_landing_told(const fmu *f, const char *function,
-                     const struct ph_event_refusal *r); /* the same of r */
 struct ph_landed;
 struct ph_landed *fmu_landing_out(const fmu *f); /* what an event is written to */
 void fmu_landing_book(fmu *f,
                       const struct ph_landed *out); /* the event in it, what it made of stored energy */
+
+/* fmu_happened.c: n state events, the last one at t, what they made of stored energy and lost (ncomp); why
+ * one was refused, whose guards have these n names. */
+struct ph_event_refusal;
+void fmu_happened(fmu *f, int n, double t, const double *energy, const double *lost);
+int fmu_event_refused(const fmu *f, const char *function, const struct ph_event_refusal *r, int n,
+                      const char *const *guards);
 
 /* fmu_derivative.c. adjoint 0: result (nu) = S seed (nk); 1: result (nk) = S^T seed (nu), where S holds the
  * derivatives of the port outputs `unknown` (nu) with respect to the port inputs `known` (nk): all of these

@@ -51,19 +51,21 @@ static int advance(fmu *f, double t, double h, int n, int *stopped) {
     return landing ? landing->step(f, t, h, n, stopped) : f->map->step_parts(f->of, t, h, n);
 }
 
-/* [t, end] in parts; *reached: where the last one that was solved ends; *stopped (may be NULL): at a state
- * event. */
-static int step_parts(fmu *f, double t, double end, double slack, double *reached, int *stopped) {
+/* A step from t by h in parts; *reached: where the last one that was solved ends; *stopped (may be NULL): at
+ * a state event. */
+static int step_parts(fmu *f, double t, double h, double slack, double *reached, int *stopped) {
+    const double end = t + h;
     int halt = 0;
     for (*reached = t; *reached < end && !halt;) {
         const double now = *reached;
-        double goal, part;
+        double goal, length, part;
         int status = fmu_events_until(f, now + slack);
         if (status)
             return status;
         goal = next_event(f) < end - slack ? next_event(f) : end;
-        part = ceil((goal - now) / f->about->step - FMU_SLACK);
-        status = advance(f, now, goal - now, part < 1.0 ? 1 : (int)part, stopped ? &halt : NULL);
+        length = now == t && goal == end ? h : goal - now; /* a whole step has no rounding of its end */
+        part = ceil(length / f->about->step - FMU_SLACK);
+        status = advance(f, now, length, part < 1.0 ? 1 : (int)part, stopped ? &halt : NULL);
         if (status)
             return status;
         goal = halt ? fmu_time(f) : goal;
@@ -97,7 +99,7 @@ int fmu_events_step(fmu *f, const char *function, double t, double h, double sla
     }
     if (fmu_save(f, function, &f->before))
         return FMU_ERROR;
-    status = step_parts(f, t, t + h, slack, &reached, f->early ? early : NULL);
+    status = step_parts(f, t, h, slack, &reached, f->early ? early : NULL);
     if (status == PH_OK)
         return FMU_OK;
     why = *f->map->report(f->of);

@@ -178,7 +178,8 @@ int fmu_modes_refused(const fmu *f, const char *function) {
     char names[256] = "", text[128];
     size_t used = 0;
     if (r->reason < 0)
-        return fmu_landing_told(f, function, ph_land_refusal(w->failed->landing));
+        return fmu_event_refused(f, function, ph_land_refusal(w->failed->landing),
+                                 f->about->landing->events->n, f->about->landing->names);
     for (int i = 0; i < about(f)->switches->n && used < sizeof(names); i++)
         if (r->which[i])
             used += (size_t)snprintf(names + used, sizeof(names) - used, "%s'%s'", used ? ", " : "",

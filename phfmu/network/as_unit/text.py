@@ -14,15 +14,18 @@ import numpy as np
 from phfmu.discretise.model import Model
 from phfmu.engine.build.codegen import kernel_table, port_text, tangent_text
 from phfmu.engine.build.kernels import Kernels
-from phfmu.engine.build.tables import ARRAYS, array_text, c_text
+from phfmu.engine.build.tables import ARRAYS, array_text, c_text, events_text
 from phfmu.engine.impulses import port_kernels
 from phfmu.engine.model import kernels
+from phfmu.fmu.words import c_string
 from phfmu.fmu.xml import number
 from phfmu.network.as_unit.embedded import Embedded
+from phfmu.network.as_unit.landers import Landers
 from phfmu.network.couplings.compiled.master import Master
 from phfmu.network.couplings.compiled.master_library import HEADER, START_TRIALS
 from phfmu.network.couplings.coupled import Coupled
 from phfmu.network.members.engine_member import EngineMember
+from phfmu.signals import of_member
 
 #: solver of the master -> its files besides those of Newton's
 SOLVER_FILES = {
@@ -65,9 +68,12 @@ class Tables:
         return "{" + ", ".join(members) + "}", rooms
 
 
-def network_files(whole: Coupled, master: Master, members: Sequence[Model | Embedded], step: float) -> dict[str, str]:
+def network_files(
+    whole: Coupled, master: Master, members: Sequence[Model | Embedded], step: float, together: Landers | None
+) -> dict[str, str]:
     """kernels, tangents, models and ports of all members, and network.c: file name -> text; alike members share theirs."""
     models = {i: m for i, m in enumerate(members) if not isinstance(m, Embedded)}
+    guarded = {i: together.plan(i) if together and i in together.members else m.events for i, m in models.items()}
     kicked = [native["kicks"] is not None for native in _filled(master, "ph_native")]
     ports = dict.fromkeys(range(len(members)), None) | {
         i: port_kernels(m.declaration) if k else None for (i, m), k in zip(models.items(), kicked, strict=True)
@@ -85,12 +91,15 @@ def network_files(whole: Coupled, master: Master, members: Sequence[Model | Embe
         for i in next(n for n in numbers if n[0] == first):
             tangents = f"ph_tangents{first}" if models[i].step.nu else "0"
             files[f"member{i}.c"] = c_text(models[i], table.index, f"ph_member{i}", tangents, f"ph_code{first}")
+            if (events := guarded[i]) is not None:
+                files[f"guards{i}.c"] = events_text(events, table.index, f"ph_guards{i}")
     made: dict[int, int] = {}
     for i, k in ports.items():
         if k is not None and made.setdefault(id(k), i) == i:
             files[f"ports{i}.c"] = port_text(k, f"ph_ports{i}")
     places = [None if ports[i] is None else made[id(ports[i])] for i in range(len(members))]
-    return files | {"network.c": _network_text(whole, master, members, places, step)}
+    files |= together.files() if together else {}
+    return files | {"network.c": _network_text(whole, master, members, places, step, together)}
 
 
 def _filled(master: Master, kind: str) -> list[Mapping[str, Any]]:
@@ -98,7 +107,12 @@ def _filled(master: Master, kind: str) -> list[Mapping[str, Any]]:
 
 
 def _network_text(
-    whole: Coupled, master: Master, members: Sequence[Model | Embedded], ports: Sequence[int | None], step: float
+    whole: Coupled,
+    master: Master,
+    members: Sequence[Model | Embedded],
+    ports: Sequence[int | None],
+    step: float,
+    together: Landers | None,
 ) -> str:
     tables, rows = Tables(), []
     externs = ""
@@ -115,6 +129,14 @@ def _network_text(
             what = f".model = &ph_member{i}, .ports = {'0' if port is None else f'&ph_ports{port}'}, .native = {n}"
             externs += f"extern const ph_model ph_member{i};\n"
             externs += "" if port is None else f"extern const ph_ports ph_ports{port};\n"
+            if member.events is not None and together and i in together.members:
+                externs += f"extern const ph_events ph_guards{i};\n"
+            elif member.events is not None:
+                externs += f"extern const ph_events ph_guards{i};\n"
+                what += f", .inside = &inside{i}"
+                tables.arrays.append(
+                    _inside(i, [of_member(whole.joined.members[i].name, n) for n in member.events.names])
+                )
         tables.arrays.append(_rooms(f"rooms{i}", [*own, *more]))
         rows.append(
             f"    {{{what},\n     .share = {s},\n"
@@ -136,12 +158,18 @@ def _network_text(
     tables.arrays.append(_rooms("rooms", rooms))
     held = _held(tables, master)
     memory = _memory(tables, master)
+    with_events = [i for i, m in enumerate(members) if not isinstance(m, Embedded) and m.events is not None]
+    headers = ["network_lander.h"] if together else []
+    headers += ["member_landing.h"] if {*with_events} - {*(together.members if together else ())} else []
+    if together:
+        tables.arrays.append(together.text())
     given = "".join(f"    .{n} = {f'network_{n}' if len(a) else '0'},\n" for n, (_, a) in lists.items())
     return f"""\
 /* Generated. The members of {len(rows)} models, and how they are coupled. */
 #include <math.h>
 
 #include "{"embedded.h" if any(isinstance(m, Embedded) for m in members) else "network.h"}"
+{"".join(f'#include "{name}"' + chr(10) for name in headers)}
 {"".join(f'#include "{name}"' + chr(10) for name in SOLVER_FILES[master.solver] if name.endswith(".h"))}
 {externs}
 {"".join(tables.arrays)}
@@ -160,10 +188,20 @@ const ph_network ph_the_network = {{
 {held}    .signals = {len(whole.joined.face.names)},
     .room = {tables.room},
     .step = {number(step)},
-    .trials = {START_TRIALS if whole.from_short_steps else 1},
-{given}    .njunction = {len(first) - 1},
+    .trials = {START_TRIALS if whole.from_short_steps or not any(isinstance(m, Embedded) for m in members) else 1},
+{given}{together.fields() if together else ""}    .njunction = {len(first) - 1},
 }};
 """
+
+
+def _inside(i: int, names: Sequence[str]) -> str:
+    """The state events of member i, whose guards have these names."""
+    listed = ", ".join(map(c_string, names))
+    functions = "".join(f", .{n} = ph_inside_{n}" for n in ("make", "kind", "happened", "refusal"))
+    return (
+        f"static const char *const guards{i}[] = {{{listed}}};\n"
+        f"static const ph_inside inside{i} = {{.events = &ph_guards{i}, .names = guards{i}{functions}}};\n"
+    )
 
 
 def _held(tables: Tables, master: Master) -> str:

@@ -24,21 +24,27 @@ from phfmu.fmu.export.outward import require_ports, turned
 from phfmu.fmu.export.schedule import fed_inside
 from phfmu.fmu.export.variables import FMUError, FMUVariable, listed
 from phfmu.network.as_unit.embedded import Embedded
+from phfmu.network.as_unit.landers import Landers, not_landed
 from phfmu.network.as_unit.text import SOLVER_FILES, network_files
 from phfmu.network.couplings.compiled.master import Master
+from phfmu.network.couplings.compiled.shares import Make, NativeShare, own_share
 from phfmu.network.couplings.coupled import Coupled
 from phfmu.network.couplings.gathered import COMPOSED
 from phfmu.network.couplings.named import Named
 from phfmu.network.couplings.newton import Newton
 from phfmu.network.couplings.unconverged import plain
+from phfmu.network.members.engine_member import EngineMember
 from phfmu.network.members.fmu_member import FMUMember
+from phfmu.network.members.member import Member
 from phfmu.network.members.rollback import Rollback
 from phfmu.network.network import Network
 from phfmu.schemes.scheme import Scheme
 from phfmu.signals import (
+    HAPPENED,
     JUMPED,
     LEDGER,
     MEAN,
+    MODE,
     STEP_LEDGER,
     Quantity,
     check_names,
@@ -52,10 +58,14 @@ from phfmu.signals import (
 OTHER_MASTERS = ("crew.c", "unit.c")
 #: and what it has where units of other tools are in it
 CALLS = ("unit.h", "unit_call.c", "unit_fmi2.c", "unit_fmi3.c")
+#: and where members have state events
+LANDING = ("network_landing.c", "network_landing.h")
+#: where they land together with all others, and inside their steps
+LANDERS, INSIDE = ("network_lander.c", "network_lander.h"), ("member_landing.c", "member_landing.h")
 #: blocks of a model -> what of a plan is as long; others are as long as there are components
 _LENGTHS = {
     "x": "nx", "a": "na", "a_end": "na", "y_step": "nq", "y_end": "nq", "energy": "nq", "row_pairs": "nq", "parameter": "np",
-    "tunable": "np", "input": "nu", "observables": "nobs",
+    "tunable": "np", "mode": "np", "input": "nu", "observables": "nobs",
 }  # fmt: skip
 
 
@@ -75,15 +85,16 @@ class NetworkUnit(Unit):
 
     derives = False
     about = "ph_network", "ph_the_network", "ph_map_network"
-    header = "network.h"
 
     def __post_init__(self) -> None:
         require_ports(self.declaration, self.outward)
 
     @cached_property
     def master(self) -> Master:
-        """The compiled master, whose tables the unit has."""
+        """The compiled master, whose tables the unit has; it steps members with state events itself."""
         found = self.whole.master
+        if self.lands:
+            found = self.whole.compiled(_stepped_in_c)
         if reason := self._signals_outside():
             raise FMUError(f"{self.name}: {reason}")
         if found.solver not in SOLVER_FILES:
@@ -128,6 +139,24 @@ class NetworkUnit(Unit):
         return [m for m in self.models if isinstance(m, Embedded)]
 
     @property
+    def landing_members(self) -> list[tuple[str, Model]]:
+        """Names and models of those with state events."""
+        return [(name, m) for name, m in self.named if m.events is not None]
+
+    @property
+    def lands(self) -> bool:
+        return bool(self.landing_members)
+
+    @property
+    def landing(self) -> str:
+        functions = "".join(f"    .{n} = fmu_network_{n},\n" for n in ("create", "release", "step", "refused"))
+        return f"static const fmu_landing landing = {{\n{functions}}};\n"
+
+    @property
+    def header(self) -> str:  # type: ignore[override]
+        return 'network.h"\n#include "network_landing.h' if self.lands else "network.h"
+
+    @property
     def saves(self) -> bool:
         return all(m.file.interface.saves for m in self.units)
 
@@ -143,14 +172,26 @@ class NetworkUnit(Unit):
         return {n: data for m in self.units for n, data in m.files(platforms).items()}
 
     def texts(self) -> dict[str, str]:
-        return network_files(self.whole, self.master, self.models, self.step)
+        return network_files(self.whole, self.master, self.models, self.step, self.together)
+
+    @cached_property
+    def together(self) -> Landers | None:
+        """Members that land together; None if there are none."""
+        members = enumerate(self.whole.joined.members)
+        own = [i for i, m in members if isinstance(m, EngineMember) and m.together]
+        models = tuple(m for i, m in enumerate(self.models) if i in own and not isinstance(m, Embedded))
+        names = tuple(self.whole.joined.members[i].name for i in own)
+        return Landers(models, tuple(own), names, len(self.models)) if own else None
 
     def drivers(self) -> dict[str, Path]:
-        found = driver_sources("network/couplings", *(["network/as_unit"] if self.units else []))
+        found = driver_sources("network/couplings", "network/as_unit")
         own = SOLVER_FILES[self.master.solver]
         others = {
             *OTHER_MASTERS,
-            *(() if self.units else CALLS),
+            *(() if self.units else (*CALLS, *(name for name in found if name.startswith("embedded")))),
+            *(() if self.lands else LANDING),
+            *(() if self.together else LANDERS),
+            *(() if len(self.landing_members) > len(self.together.members if self.together else ()) else INSIDE),
             *(name for files in SOLVER_FILES.values() for name in files if name not in own),
         }
         return {name: path for name, path in found.items() if name not in others}
@@ -179,7 +220,7 @@ class NetworkUnit(Unit):
         for name, m in self.named:
             limit |= {of_member(name, n): v for n, v in limits(m.declaration).items()}
         for q in self._quantities():
-            known = limit.get(q.name) if q.block in ("parameter", "tunable") else None
+            known = limit.get(q.name.removeprefix(MODE)) if q.block in ("parameter", "tunable", "mode") else None
             found.append((q, known))
         table = listed(self.name, found, self.ledger_outputs, self.tunable, set())
         outward = {of_member(m.name, n) for m in self.units for n in m.outward()}
@@ -219,6 +260,8 @@ class NetworkUnit(Unit):
                 text = "at its junction, mean of the last step"
                 yield Quantity(name, "local", "joined", i, 1, None, joined.units[name], description=text)
         yield from self._junctions(self.master.found.columns + first["input"])
+        if self.lands:
+            yield from self._happened()
 
     def _of_member(self, name: str, model: Model | Embedded, first: dict[str, int]) -> Iterator[Quantity]:
         """Those of a member, `first`: where its entries of each block begin; what junctions and signals feed cannot be set."""
@@ -235,8 +278,9 @@ class NetworkUnit(Unit):
             inputs = {n for p in fed for n in p.input_names()}
             inner = {n for p in fed for e in ("", MEAN) for n in p.output_names(e)} | {port_energy(p.name) for p in fed}
             told = quantities(model)
+        modes = set[str]() if isinstance(model, Embedded) else {*model.declaration.modes}
         for q in told:
-            if q.causality == "independent" or (not name and q.name in _TOTALS):
+            if q.causality == "independent" or q.name in modes or (not name and q.name in _TOTALS):
                 continue
             at = q.first + first[q.block if q.block in _LENGTHS else ""]
             found = replace(q, name=of_member(name, q.name), first=at)
@@ -259,9 +303,24 @@ class NetworkUnit(Unit):
             yield Quantity(total(name), "output", block, 0, n, None, "J", description=text)
         for name, block, text in STEP_LEDGER:
             yield Quantity(total(name), "local", block, 0, n, None, "J", description=text)
-        if self.jumps:
+        if self.jumps or self.lands:
             name, block, text = JUMPED
+            text += ", and by jumps of the states" if self.lands else ""
             yield Quantity(total(name), "output", block, 0, n, None, "J", description=text)
+
+    def _happened(self) -> Iterator[Quantity]:
+        """What state events tell, and the modes that they set."""
+        for i, (name, unit, text) in enumerate(HAPPENED):
+            yield Quantity(name, "output", "happened", i, 1, None, unit, description=text)
+        first = 0
+        for member, m in self.members:
+            if not isinstance(m, Embedded):
+                names = [n for v in m.declaration.parameters for n in v.names()]
+                for mode in m.declaration.modes:
+                    own, i = of_member(member, mode), names.index(mode)
+                    text = f"mode {own}, set by state events"
+                    yield Quantity(MODE + own, "local", "mode", first + i, 1, float(m.p0[i]), description=text)
+            first += m.step.np
 
     def _junctions(self, first: int) -> Iterator[Quantity]:
         """Energies made there."""
@@ -297,7 +356,8 @@ def network_unit(
         for p in d.ports
         if p.external and not any(e.member == name and e.port == p.name for e in joined)
     ]
-    declaration = SimpleNamespace(name=network.name, description=network.description, ports=ports, modes=())
+    modes = tuple(of_member(name, n) for name, d in network.declared.items() for n in d.modes)
+    declaration = SimpleNamespace(name=network.name, description=network.description, ports=ports, modes=modes)
     plan = SimpleNamespace(
         nx=sum(m.step.nx for m in models), na=sum(m.step.na for m in models), nu=sum(m.step.nu for m in models),
         ncomp=sum(m.step.ncomp for m in models), k=1,
@@ -309,6 +369,11 @@ def network_unit(
         declaration=declaration, step=plan, t0=own[0].t0 if own else 0.0, scheme=scheme, events=None, modes=None
     )
     return NetworkUnit(model=model, whole=whole, models=tuple(models), **options)
+
+
+def _stepped_in_c(member: Member) -> Make:
+    """The share of a member in a unit."""
+    return NativeShare if isinstance(member, EngineMember) else own_share(member)
 
 
 def coupled_members(
@@ -331,9 +396,9 @@ def coupled_members(
             f"{network.name}: {'; '.join(stuck)}: it would be stepped last, against a prediction, which a unit does not do; "
             "take --coupling gauss-seidel, or a shorter step"
         )
-    if some := [n for n, d in network.declared.items() if d.state_events or d.switches]:
+    if some := [n for n, d in network.declared.items() if d.switches]:
         raise FMUError(
-            f"{network.name}: {', '.join(some[:4])} have state events, which the coupling inside a unit does not land on; "
+            f"{network.name}: {', '.join(some[:4])} have ideal switches, which the coupling inside a unit does not land on; "
             "export it composed, without --as-unit"
         )
     separate = network.separate(Apart(network).holding(lambda name: coupling.nodes and schemes[name].node_values))
@@ -349,6 +414,13 @@ def coupled_members(
             members.append(unit)
             models.append(Embedded(unit, member))
     whole = Coupled(network, members, coupling.make)
+    if reason := not_landed(whole):
+        raise FMUError(f"{network.name}: {reason}; export it composed, without --as-unit")
+    if some := whole.across():
+        raise FMUError(
+            f"{network.name}: the jumps of {', '.join(some[:4])} move what other members share, and no impulse reaches these "
+            "inside the step of one; export it composed, without --as-unit"
+        )
     whole.check_start()
     if not whole.coupling.repeats:  # whether outputs give the junctions their values
         whole.prepare(0.0, step)

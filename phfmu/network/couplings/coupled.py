@@ -40,6 +40,7 @@ from phfmu.signals import SignalKind, of_member
 if TYPE_CHECKING:
     from phfmu.discretise.start import Projection
     from phfmu.network.couplings.compiled.master import Master
+    from phfmu.network.couplings.compiled.shares import Make
     from phfmu.network.couplings.stepper import Landing
     from phfmu.network.members.interpolant import Interpolant
 
@@ -150,12 +151,19 @@ class Coupled:
     def master(self) -> Master:
         """The compiled steps; StepFailure where the rows of the junctions cannot be solved."""
         if self._mode not in self._masters:
-            from phfmu.network.couplings.compiled.master import master
-
-            held = self._signals if self.samples_inside else None
-            found = master(self.joined, self.coupling, bool(self._works.keys), self._threads, held)
-            self._masters[self._mode] = found
+            self._masters[self._mode] = self.compiled()
         return self._masters[self._mode]
+
+    def compiled(self, share: Callable[[Member], Make] | None = None) -> Master:
+        """A master of its own; `share`: makes the share of a member, None: as runs have it."""
+        from phfmu.network.couplings.compiled.master import master
+
+        held = self._signals if self.samples_inside else None
+        return master(self.joined, self.coupling, bool(self._works.keys), self._threads, held, share)
+
+    def across(self) -> list[str]:
+        """State events inside the steps of members whose jumps would move what others share."""
+        return self._jumps.across()
 
     @cached_property
     def samples_inside(self) -> bool:

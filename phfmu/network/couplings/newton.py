@@ -21,7 +21,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.network.interface.exchange import Exchange
@@ -56,20 +55,6 @@ class Newton:
         self.exchange = exchange
         if exchange is not None:
             self.order = 2 * int(exchange.counts.min(initial=exchange.counts.max(initial=1)))
-
-    def start(self, xi: Array, h: float, before: Continuation | None, length: float, bare: int) -> Array:
-        """Unknowns that a step of length h starts from, as the exchange has them, after one of another `length`.
-
-        The polynomials of the step before go on, and its impulses where it was as long; else xi stands at all nodes.
-        """
-        e, impulses = self.exchange, np.zeros(2 * bare)
-        if before is None or length == 0.0:
-            return np.concatenate([xi if e is None else e.spread(xi), impulses])
-        n = len(before.found) - 2 * bare
-        if abs(h - length) <= 1e-9 * abs(h):
-            impulses = before.found[n:]
-        values = before.found[:n]
-        return np.concatenate([values if e is None else e.ahead(values, h / length), impulses])
 
 
 def newton(joined: Joined) -> Newton:

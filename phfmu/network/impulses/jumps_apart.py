@@ -37,6 +37,15 @@ class JumpsApart:
                     names = [m.model.events.names[i] for i in shared]  # pyright: ignore[reportOptionalMemberAccess]
                     raise EventRefused(m.name, h.t, ACROSS, names, float(size), 0.0)
 
+    def across(self) -> list[str]:
+        """Events inside the steps of members whose jumps would move what others share, `member.event`."""
+        return [
+            f"{m.name}.{m.model.events.names[i]}"  # pyright: ignore[reportOptionalMemberAccess]
+            for m in self._jumping
+            for i in sorted(self._shared.get(m.name, ()))
+            if not m.together
+        ]
+
     @cached_property
     def _shared(self) -> dict[str, set[int]]:
         """By member the events whose jumps move an output that junction rows hold whatever their unknowns are."""

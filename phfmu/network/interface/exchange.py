@@ -116,8 +116,6 @@ class Exchange:
         #: (-1)^k_J per bare column
         self.signs = (-1.0) ** self.k[self.bare]
         self.shares = [self._share(v, *p) for v, p in zip(parts, enumerate(joined.places), strict=True)]
-        #: the basis of a step at the nodes of the next, which is `_ratio` times as long
-        self._ratio, self._ahead = np.nan, list[Array]()
         self.clusters = Clusters([s.bare for s in self.shares if s.kicked], len(self.bare))
 
     def _lands(self, member: Member) -> bool:
@@ -155,10 +153,6 @@ class Exchange:
         signals = self.joined.sampled[self.wires] - self._offset
         return np.concatenate([xi, signals, self.relations.values()])
 
-    def spread(self, xi: Array) -> Array:
-        """Values of the columns, the same at all nodes."""
-        return self.of_columns(xi)[self.columns]
-
     def mean(self, values: Array) -> Array:
         """sum_i b_i xi_i of each column."""
         return np.bincount(self.columns, self.weights * values, len(self.counts))[: len(self.k)].astype(float)
@@ -171,25 +165,6 @@ class Exchange:
     def at_ends(self) -> Array:
         """The basis of each value at the end of a step."""
         return np.concatenate([np.zeros(0), *(nodes(int(k)).value(1.0) for k in self.counts)])
-
-    def ahead(self, values: Array, ratio: float) -> Array:
-        """The polynomials of a step at the nodes of the next, `ratio` times as long."""
-        if ratio != self._ratio:
-            rules = {own.shape[1]: nodes(own.shape[1]) for own in self._by_k}
-            self._ahead = [
-                np.array([rules[own.shape[1]].value(1.0 + ratio * t) for t in rules[own.shape[1]].c]).T
-                for own in self._by_k
-            ]
-            self._ratio = ratio
-        out = values.copy()
-        for own, basis in zip(self._by_k, self._ahead, strict=True):
-            out[own] = values[own] @ basis
-        return out
-
-    @cached_property
-    def _by_k(self) -> list[Ints]:
-        """Places of the values of columns that have equally many (columns x k)."""
-        return [self._first[self.counts == k][:, None] + np.arange(k) for k in np.unique(self.counts)]
 
     def _at_nodes(self, C: csr_array) -> csr_array:
         """C between unknowns at one node; columns that it joins have as many values."""

@@ -85,6 +85,9 @@ int ph_look(ph_landing *l);
 /* event_trial.c: takes a step of length l->h at most; *leaves: how many guards happen at once, and none is
  * taken. */
 int ph_try_step(ph_landing *l, int *leaves);
+/* event_trial.c: x, the states at the start of a step with k nodes and the unknowns w, becomes those at point
+ * m of the fit. */
+void ph_events_inside(const ph_events *e, int k, int m, const double *w, double *x);
 /* d guard / dt at the fraction tau of the trial; the first zero of a guard in it that is not refused, or -1;
  * with the slope 0 it is a guard that turns back, where steps have to tell. */
 double ph_guard_rate(const ph_landing *l, int i, double tau);

@@ -38,18 +38,20 @@ static int tried(ph_landing *l, double *h) {
     }
 }
 
+void ph_events_inside(const ph_events *e, int k, int m, const double *w, double *x) {
+    for (int j = 0; j < e->nincrement; j++)
+        x[e->polynomial_state[j]] += e->fit_weights[m * k + e->polynomial_node[j]] * w[e->polynomial_w[j]];
+    for (int j = 0; j < e->nstart; j++)
+        x[e->polynomial_start_state[j]] += w[e->polynomial_start_w[j]];
+}
+
 /* The states at point m of the step just taken, from those at its start in x. */
 static void between(const ph_landing *l, int m, double *x) {
     const ph_events *e = l->events;
-    const int k = l->in->model->step->k;
-    if (l->lent) {
+    if (l->lent)
         l->lent->inside(l->lent->world, e->fit_tau[m], x);
-        return;
-    }
-    for (int j = 0; j < e->nincrement; j++)
-        x[e->polynomial_state[j]] += e->fit_weights[m * k + e->polynomial_node[j]] * l->w[e->polynomial_w[j]];
-    for (int j = 0; j < e->nstart; j++)
-        x[e->polynomial_start_state[j]] += l->w[e->polynomial_start_w[j]];
+    else
+        ph_events_inside(e, l->in->model->step->k, m, l->w, x);
 }
 
 /* Guards on the polynomial of the step just taken, at the points between its ends: rows 1.. of l->values. */

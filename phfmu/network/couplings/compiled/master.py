@@ -7,7 +7,7 @@ ends a call with all members at its start, and is told as an exception.
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from time import perf_counter
 from typing import Any
@@ -31,6 +31,7 @@ from phfmu.network.couplings.unconverged import Accepting, plain
 from phfmu.network.interface.end_sums import EndSums
 from phfmu.network.interface.instant import Instant, regular
 from phfmu.network.interface.joined import Joined
+from phfmu.network.members.member import Member
 from phfmu.outcome.status import Status, StepFailure
 from phfmu.outcome.steps import StepEvent, Steps
 from phfmu.plan.ordering import StructurallySingular
@@ -437,6 +438,7 @@ class Master:
             "nwire": len(e.wires), "factor": e.factors,
             **{f"wire_{name}": e.wires[:, i].copy() for i, name in enumerate(("source", "output", "target", "input"))},
             "points": POINTS, "cosines": np.cos(angles) ** 2, "weights": e.weights, "at_end": e.at_ends,
+            "node": np.concatenate([np.zeros(0), *(nodes(int(k)).c for k in np.bincount(e.column))]),
             "at_begin": e.at_starts, "nominal": nominal, "column": e.column,
             "tried": np.zeros(2 * START_TRIALS * e.columns), "refused": 0,
             "bare_column": e.bare, "skew_row": e.skew_row, "skew_col": e.skew_col, "skew_entry": p.skew, "skew": e.skew,
@@ -475,14 +477,17 @@ def master(
     works: bool = False,
     threads: int | None = None,
     signals: HeldSignals | None = None,
+    share: Callable[[Member], Make] | None = None,
 ) -> Master:
     """The compiled steps of members under a coupling; what is done with steps that do not converge is asked of its policy.
 
     `works`: whether energies of unknowns at their junctions are wanted;  `threads`: None chooses;  `signals`: those that are held
-    over steps by the master, None: by others, or there are none.  Errors: StepFailure where the rows of the junctions cannot be
-    solved whatever the members do.
+    over steps by the master, None: by others, or there are none;  `share`: makes the share of a member, None: as runs
+    have it.
+
+    Errors: StepFailure where the rows of the junctions cannot be solved whatever the members do.
     """
-    makes = [own_share(m) for m in joined.members]
+    makes = [(share or own_share)(m) for m in joined.members]
     held = signals.held if signals else ()
     found = exchanged(joined, plain(coupling), held)
     try:

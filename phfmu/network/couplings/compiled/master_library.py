@@ -51,7 +51,12 @@ def library() -> ctypes.CDLL:
     prepare = lib.ph_master_prepare
     prepare.restype, prepare.argtypes = integer, [pointer, *[ctypes.c_double] * 2, integer, *[pointer] * 3]
     lib.ph_master_remembered.restype, lib.ph_master_remembered.argtypes = integer, [pointer]
-    for name, arguments in (("forget", [pointer]), ("save", [pointer] * 2), ("load", [pointer] * 2)):
+    for name, arguments in (
+        ("forget", [pointer]),
+        ("save", [pointer] * 2),
+        ("load", [pointer] * 2),
+        ("further", [pointer, ctypes.c_double]),
+    ):
         function = getattr(lib, f"ph_master_{name}")
         function.restype, function.argtypes = None, arguments
     lib.ph_shares_finish.restype, lib.ph_shares_finish.argtypes = integer, [pointer, integer]

@@ -30,6 +30,9 @@ from phfmu.network.interface.matrices import assembled
 
 Array = NDArray[Any]
 
+#: steps whose lengths differ by less than this part, what a clock's rounding makes of equal ones, go on from each other
+SAME = 1e-9
+
 
 @dataclass(frozen=True)
 class Tables:
@@ -92,10 +95,14 @@ class NewtonSolver:
 
     def begin(self, struct: Any, last: Solution, h: float) -> bool:
         before = last.memory if isinstance(last.memory, Continuation) else None
-        if before is None or last.h != h:
-            self._t.z[:] = self._coupling.start(last.xi, h, before, last.h, len(self._t.found.bare))
+        if before is None or last.h == 0.0:
+            self._t.z[:] = 0.0
+            self._t.z[: self._t.found.nodes] = self.spread(last.xi)[self._t.found.column]
             return False
         self._found[:] = before.found
+        if abs(h - last.h) > SAME * abs(h):
+            self._t.lib.ph_master_further(ctypes.addressof(struct), h / last.h)
+            return False
         struct.known = len(before.missed)
         for to, missed in zip(self._missed, before.missed, strict=False):
             to[:] = missed
@@ -209,7 +216,13 @@ class CalledSolver:
         start = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int)(start_from) if starts else none
         move = ctypes.CFUNCTYPE(ctypes.c_int, *[ctypes.c_void_p] * 2, ctypes.c_int)(move_on) if moves else none
         idle = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int)(lambda _, __: None)
-        calls = [none, start if starts else idle, t.lib.ph_trial_take, move, *[none] * 9]  # in the order of `ph_solver`
+        calls = [
+            none,
+            start if starts else idle,
+            t.lib.ph_trial_take,
+            move,
+            *[none] * 10,
+        ]  # in the order of `ph_solver`
         self._kept_alive = calls
         nothing = np.zeros(0)
         self.fields = {

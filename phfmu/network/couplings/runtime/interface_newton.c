@@ -29,6 +29,24 @@ static void start(ph_master *m, int next) {
         ahead(m);
 }
 
+/* z = the polynomials of the last step at the nodes of one that is `ratio` times as long, without impulses.
+ */
+static void further(ph_master *m, double ratio) {
+    ph_clear(m->z, m->nxi + 2 * m->nbare);
+    for (int first = 0, k; first < m->nxi; first += k) {
+        for (k = 1; first + k < m->nxi && m->column[first + k] == m->column[first]; k++)
+            ;
+        for (int i = first; i < first + k; i++)
+            for (int j = first; j < first + k; j++) {
+                double basis = 1.0;
+                for (int l = first; l < first + k; l++)
+                    if (l != j)
+                        basis *= (1.0 + ratio * m->node[i] - m->node[l]) / (m->node[j] - m->node[l]);
+                m->z[i] += basis * m->found[j];
+            }
+    }
+}
+
 static int move(ph_master *m, ph_progress *p, int left) {
     const int all = m->nxi + 2 * m->nbare;
     if (ph_coupled_takes_matrix(m->rules, p, left)) {
@@ -109,6 +127,7 @@ const ph_solver *ph_solver_newton(void) {
         .save = save,
         .load = load,
         .sound = sound,
+        .further = further,
     };
     return &newton;
 }

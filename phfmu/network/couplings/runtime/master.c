@@ -113,6 +113,10 @@ int ph_master_sound(const ph_master *m, const double *from) {
     return !m->solver->sound || m->solver->sound(m, from);
 }
 
+void ph_master_further(ph_master *m, double ratio) {
+    m->solver->further(m, ratio);
+}
+
 void ph_master_spread(ph_master *m, const double *xi) {
     for (int i = 0; i < m->nxi; i++)
         m->z[i] = xi[m->column[i]];

@@ -113,6 +113,8 @@ typedef struct ph_solver {
     void (*save)(const struct ph_master *, double *to);
     void (*load)(struct ph_master *, const double *from);
     int (*sound)(const struct ph_master *, const double *from); /* whether `save` can have written them */
+    /* z of a step `ratio` times as long as the last one, which was accepted; NULL: constants */
+    void (*further)(struct ph_master *, double ratio);
 } ph_solver;
 
 typedef struct ph_master {
@@ -140,6 +142,7 @@ typedef struct ph_master {
     int points;             /* of the rule for the root of impulses */
     const double *cosines;  /* points: cos^2 t_l */
     const double *weights;  /* nxi */
+    const double *node;     /* nxi: where in the step each unknown is */
     const double *at_end;   /* nxi: the basis of each unknown at the end of the step */
     const double *at_begin; /* nxi: and at its start */
     const double *nominal;  /* ncolumn: sizes of common variables */
@@ -229,6 +232,9 @@ PH_API void ph_master_spread(ph_master *m, const double *xi);
  * Steps of xi, trials and accepted are to have room for one row. */
 PH_API int ph_master_prepare(ph_master *m, double t0, double h, int steps, const double *guess, double *mean,
                              double *begin);
+
+/* The same of a step that goes on from one of another length. */
+PH_API void ph_master_further(ph_master *m, double ratio);
 
 /* The solvers. */
 PH_API const ph_solver *ph_solver_newton(void);

@@ -42,7 +42,9 @@ static int step(const ph_share *s, double t, double h) {
     if (status)
         return joining(s, status);
     ph_lap(s->clock, PH_STEPPING);
-    status = m->kicks ? ph_step_impulses(m->kicks, t, h, m->parts) : ph_step_parts(m->in, t, h, m->parts);
+    if (m->kicks)
+        return joining(s, ph_step_impulses(m->kicks, t, h, m->parts));
+    status = (m->exact ? ph_step_exactly : ph_step_parts)(m->in, t, h, m->parts);
     return joining(s, status);
 }
 

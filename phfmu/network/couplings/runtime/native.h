@@ -10,6 +10,7 @@ typedef struct ph_native {
     ph_impulses *kicks; /* NULL: it takes none */
     ph_instance *chain; /* the instance with tangents; NULL: inputs are held */
     int parts;          /* internal steps of a step */
+    int exact;          /* 1: a step is taken however short it is */
     int nq;
     int nsignal;
     int width;             /* nx+1+na */

@@ -24,11 +24,34 @@ typedef struct ph_embedded {
     const int *taken;        /* parameters that held signals come into */
 } ph_embedded;
 
+/* State events: how many, the time of the last, what they made of stored energy, and what they lost. */
+typedef struct ph_happened {
+    int count;
+    double last;
+    double *energy; /* by component, as what is lost */
+    double *lost;
+} ph_happened;
+
+/* State events of a member that happen inside its steps (as_unit/runtime/member_landing.c): what is constant
+ * of them, and what takes these steps in the place of the functions of native.c. */
+struct ph_events;
+struct ph_event_refusal;
+typedef struct ph_inside {
+    const struct ph_events *events;
+    const char *const *names; /* of the guards */
+    void *(*make)(const struct ph_inside *about,
+                  const ph_native *native); /* NULL: there is no memory; freed */
+    const ph_kind *(*kind)(const void *of);
+    const ph_happened *(*happened)(const void *of); /* in the last step, accepted or not */
+    const struct ph_event_refusal *(*refusal)(const void *of);
+} ph_inside;
+
 /* A member: its part of the exchange without memory, and what belongs to its model. */
 typedef struct ph_network_member {
     const ph_model *model;
     const ph_embedded *unit; /* in the place of a model; NULL */
     const ph_ports *ports;   /* NULL: it takes no impulses */
+    const ph_inside *inside; /* NULL: it has no state events */
     ph_share share;
     ph_native native; /* of a model */
     int held;         /* whether its inputs are held over a step, not given at nodes */
@@ -36,6 +59,22 @@ typedef struct ph_network_member {
     int nnative;
     const ph_room *rooms; /* nroom + nnative */
 } ph_network_member;
+
+/* State events of members that all land on together (as_unit/runtime/network_lander.c). */
+struct ph_whole;
+typedef struct ph_lander {
+    const ph_model *model; /* of the members with events, side by side */
+    const struct ph_events *events;
+    const char *const *names; /* of the guards */
+    int n;
+    const int *members;                 /* n */
+    const struct ph_events *const *own; /* n: their events, which are those of the model in this order */
+    void *(*make)(struct ph_whole *w, const struct ph_lander *about); /* NULL: there is no memory */
+    void (*release)(void *of);
+    int (*land)(void *of, double t, double h, int n); /* a communication step in n equal parts; a ph_status */
+    double *(*rates)(const void *of);                 /* events->n, with which it goes on */
+    const struct ph_event_refusal *(*refusal)(const void *of);
+} ph_lander;
 
 typedef struct ph_network {
     int nmember;
@@ -58,6 +97,8 @@ typedef struct ph_network {
     int trials;                /* steps that tell the start */
     const double *start;       /* master.ncolumn: what the first trial starts from */
     const double *free;        /* inputs of all members besides those of junctions, at the start */
+    const ph_lander *lander;   /* NULL: members do not land together */
+    int nlanded;               /* its events */
     int njunction;
     const int *junction; /* njunction+1: where the pairs of each begin */
     const int *pair;     /* places among the pairs of all members */

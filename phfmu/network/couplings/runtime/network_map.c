@@ -19,10 +19,11 @@ static size_t size(const void *about) {
 }
 
 /* What comes is not the continuation of the last step, and the start is another one. */
-static void changed(ph_whole *w) {
+void ph_whole_changed(ph_whole *w) {
     *w->h = 0.0;
     ph_master_forget(&w->master);
     w->begun = w->sampled = w->held.known = 0;
+    w->set = 1;
 }
 
 /* The parameter that a wire ends at as the member has it, until it is sampled. */
@@ -44,7 +45,7 @@ static int reset(void *of) {
     ph_copy(w->free, n->free, w->sizes.nu);
     ph_copy(w->mean, n->start, w->master.ncolumn);
     ph_clear(w->joined, ph_whole_njoined(n, w->sizes.nu));
-    changed(w);
+    ph_whole_changed(w);
     ph_whole_gather_parameters(w);
     ph_whole_gather(w);
     for (int i = 0; i < w->held.n; i++)
@@ -78,7 +79,7 @@ static const ph_report *report_of(const ph_whole *w, int i) {
 }
 
 /* Who refused, and why. */
-static int refused(ph_whole *w, int status, double t, double h) {
+int ph_whole_refused(ph_whole *w, int status, double t, double h) {
     const ph_master *m = &w->master;
     const int n = m->nxi + m->nbare;
     double worst = 0.0;
@@ -108,7 +109,7 @@ static double time_of(const ph_whole *w) {
 
 /* Inputs as they are before the first step: common variables at `begin` in all of the step, signals as their
  * sources tell them. */
-static int present(ph_whole *w, const double *begin) {
+int ph_whole_present(ph_whole *w, const double *begin) {
     ph_master *m = &w->master;
     int status = PH_OK;
     ph_master_spread(m, begin);
@@ -184,7 +185,7 @@ static int initialise(void *of) {
     status = initialise_members(w);
     if (status)
         return status;
-    status = present(w, n->start);
+    status = ph_whole_present(w, n->start);
     if (status == PH_OK)
         status = sample(w);
     if (status == PH_OK)
@@ -195,8 +196,8 @@ static int initialise(void *of) {
     status = ph_master_prepare(&w->master, t, n->step, n->trials, n->start, w->mean, begin);
     ph_master_forget(&w->master);
     if (status)
-        return refused(w, status, t, n->step);
-    status = present(w, begin);
+        return ph_whole_refused(w, status, t, n->step);
+    status = ph_whole_present(w, begin);
     if (status == PH_OK)
         status = initialise_members(w);
     if (status == PH_OK && !has_units(n))
@@ -217,7 +218,7 @@ static int set_x(void *of, double t, const double *x) {
         if (status)
             return status;
     }
-    changed(w);
+    ph_whole_changed(w);
     ph_whole_gather(w);
     return PH_OK;
 }
@@ -234,7 +235,7 @@ static int set_parameters(void *of, const double *p) {
         if (status)
             return status;
     }
-    changed(w);
+    ph_whole_changed(w);
     ph_whole_gather_parameters(w);
     return PH_OK;
 }
@@ -248,7 +249,7 @@ static int set_input(void *of, const double *u) {
     if (w->sizes.nu == 0 || memcmp(w->free, u, sizeof(double) * ((size_t)w->sizes.nu)) == 0)
         return PH_OK;
     ph_copy(w->free, u, w->sizes.nu);
-    changed(w);
+    ph_whole_changed(w);
     return PH_OK;
 }
 
@@ -293,33 +294,56 @@ static int follow_signals(ph_whole *w) {
     return PH_OK;
 }
 
+/* State events inside the step that members have taken; what they set. */
+static void book_events(ph_whole *w) {
+    int any = 0;
+    for (int i = 0; i < w->about->nmember; i++) {
+        const ph_whole_member *m = &w->members[i];
+        const ph_happened *own = m->inside ? w->about->members[i].inside->happened(m->inside) : NULL;
+        if (!own || !own->count)
+            continue;
+        any = 1;
+        w->happened.last = w->happened.count ? fmax(w->happened.last, own->last) : own->last;
+        w->happened.count += own->count;
+        for (int c = 0; c < m->sizes.ncomp; c++) {
+            w->happened.energy[m->comp + c] += own->energy[c];
+            w->happened.lost[m->comp + c] += own->lost[c];
+        }
+    }
+    if (any)
+        ph_whole_gather_parameters(w);
+}
+
 /* One internal step. */
-static int step(ph_whole *w, double t, double h, int number) {
+int ph_whole_step(ph_whole *w, double t, double h, int number) {
     ph_master *m = &w->master;
     const int next = fabs(h - *w->h) <= SAME * fabs(h);
-    if (!next) {
+    if (!next && *w->h != 0.0 && m->solver->further) {
+        m->solver->further(m, h / *w->h);
+    } else if (!next) {
         const int status = follow_signals(w);
         if (status)
-            return refused(w, status, t, h);
+            return ph_whole_refused(w, status, t, h);
         ph_master_spread(m, w->mean);
     }
     if (!w->sampled) {
         const int status = sample(w);
         if (status)
-            return refused(w, status, t, h);
+            return ph_whole_refused(w, status, t, h);
     }
     if (ph_master_run(m, t, h, 1, number, next) != 1)
-        return refused(w, m->refused, t + number * h, h);
+        return ph_whole_refused(w, m->refused, t + number * h, h);
     for (int i = 0; i < w->about->nmember; i++) {
         const ph_embedded *unit = w->about->members[i].unit;
         m->status[i] = unit && unit->finish ? unit->finish(w->members[i].of) : PH_OK;
         if (m->status[i])
-            return refused(w, m->status[i], t + number * h, h);
+            return ph_whole_refused(w, m->status[i], t + number * h, h);
     }
     ph_copy(w->mean, m->xi, m->ncolumn);
     *w->h = h;
     if (w->held.n)
         ph_whole_gather_parameters(w);
+    book_events(w);
     average(w);
     ph_whole_gather(w);
     book(w);
@@ -328,13 +352,17 @@ static int step(ph_whole *w, double t, double h, int number) {
 
 static int step_parts(void *of, double t, double h, int n) {
     ph_whole *w = of;
+    w->happened.count = 0;
+    ph_clear(w->happened.energy, 2 * w->sizes.ncomp);
+    if (w->lander)
+        return w->about->lander->land(w->lander, t, h, n);
     if (n > 1 && ph_whole_returns(w->about)) {
         const int status = ph_whole_save(w, w->before);
         if (status)
-            return refused(w, status, t, h);
+            return ph_whole_refused(w, status, t, h);
     }
     for (int i = 0; i < n; i++) {
-        const int status = step(w, t, h / n, i);
+        const int status = ph_whole_step(w, t, h / n, i);
         if (status && n > 1 && ph_whole_returns(w->about))
             ph_whole_load(w, w->before);
         if (status) {

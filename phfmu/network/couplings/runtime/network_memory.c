@@ -82,7 +82,7 @@ static int lay_values(ph_whole *w) {
     const int n = w->master.ncolumn, nc = w->sizes.ncomp, all = ph_whole_njoined(w->about, w->sizes.nu);
     const size_t counts = PH_NCOUNT, row = 5 * (size_t)nc + (size_t)w->sizes.nq;
     const size_t size = 1 + (size_t)w->offset[PH_NBLOCK] + row + (size_t)w->sizes.np + (size_t)w->sizes.nu +
-                        (size_t)n + (size_t)all + (size_t)ph_whole_kept_size(w->about);
+                        (size_t)n + (size_t)all + (size_t)ph_whole_kept_size(w->about) + 2 * (size_t)nc;
     w->work = calloc(size + 1, sizeof(double));
     w->count = calloc(counts, sizeof(long long));
     if (!w->work || !w->count)
@@ -96,7 +96,9 @@ static int lay_values(ph_whole *w) {
     w->mean = w->free + w->sizes.nu;
     w->joined = w->mean + n;
     w->kept = w->joined + all;
-    w->h = w->kept + ph_whole_kept_size(w->about);
+    w->happened.energy = w->kept + ph_whole_kept_size(w->about);
+    w->happened.lost = w->happened.energy + nc;
+    w->h = w->happened.lost + nc;
     return 1;
 }
 
@@ -118,6 +120,13 @@ static int make_master(ph_whole *w) {
         furnish(w, &own->native, about->rooms + about->nroom, about->nnative);
         s->kind = about->unit ? about->unit->kind() : ph_kind_native();
         s->of = about->unit ? own->of : &own->native;
+        if (about->inside) {
+            own->inside = about->inside->make(about->inside, &own->native);
+            if (!own->inside)
+                return 0;
+            s->of = own->inside;
+            s->kind = about->inside->kind(own->inside);
+        }
         s->free = w->free + own->u;
         s->outputs = about->held ? signals + own->offset[PH_Y_STEP] : own->map->node_outputs(own->of);
         s->energies = signals + own->offset[PH_H];
@@ -137,7 +146,9 @@ static int make_master(ph_whole *w) {
     m->lu = w->lu;
     ph_master_lu_init(m);
     w->before = calloc(1, ph_whole_state_size(w));
-    return w->before != NULL;
+    if (n->lander)
+        w->lander = n->lander->make(w, n->lander);
+    return w->before != NULL && (w->lander || !n->lander);
 }
 
 int ph_whole_make(ph_whole *w) {
@@ -157,6 +168,8 @@ void ph_whole_release(void *of) {
     ph_whole *w = of;
     if (w->before)
         ph_whole_forget(w, w->before);
+    if (w->lander)
+        w->about->lander->release(w->lander);
     for (int i = 0; w->members && i < w->about->nmember; i++) {
         const ph_whole_member *m = &w->members[i];
         if (m->of && m->map->release)
@@ -165,6 +178,7 @@ void ph_whole_release(void *of) {
         free(w->members[i].kicks);
         free(w->members[i].chain);
         free(w->members[i].states);
+        free(w->members[i].inside);
     }
     free(w->members);
     free(w->shares);

@@ -145,16 +145,45 @@ static size_t member_size(const ph_whole *w, int i) {
     return ph_padded(w->members[i].map->state_size(w->members[i].of));
 }
 
-size_t ph_whole_state_size(const void *of) {
-    const ph_whole *w = of;
+size_t ph_whole_placed_size(const ph_whole *w) {
     size_t size = sizeof(double) * remembered(w);
     for (int i = 0; i < w->about->nmember; i++)
         size += member_size(w, i) + ph_padded(ph_whole_values_size(w, i));
     return ph_padded(size);
 }
 
-int ph_whole_save(void *of, void *out) {
+/* Whether values were set, and the rates of the guards. */
+static size_t landing_values(const ph_whole *w) {
+    return w->about->lander ? 1 + (size_t)w->about->nlanded : 0;
+}
+
+size_t ph_whole_state_size(const void *of) {
     const ph_whole *w = of;
+    return ph_whole_placed_size(w) + ph_padded(sizeof(double) * landing_values(w));
+}
+
+int ph_whole_save(void *of, void *out) {
+    ph_whole *w = of;
+    double *values = (double *)(void *)((char *)out + ph_whole_placed_size(w));
+    if (w->lander) {
+        *values = w->set;
+        ph_copy(values + 1, w->about->lander->rates(w->lander), w->about->nlanded);
+    }
+    return ph_whole_put(w, out);
+}
+
+int ph_whole_load(void *of, const void *from) {
+    ph_whole *w = of;
+    const double *values = (const double *)(const void *)((const char *)from + ph_whole_placed_size(w));
+    const int status = ph_whole_back(w, from);
+    if (w->lander) {
+        w->set = *values != 0.0;
+        ph_copy(w->about->lander->rates(w->lander), values + 1, w->about->nlanded);
+    }
+    return status;
+}
+
+int ph_whole_put(ph_whole *w, void *out) {
     const ph_master *m = &w->master;
     char *to = out;
     double *values;
@@ -179,8 +208,7 @@ int ph_whole_save(void *of, void *out) {
     return status;
 }
 
-int ph_whole_load(void *of, const void *from) {
-    ph_whole *w = of;
+int ph_whole_back(ph_whole *w, const void *from) {
     ph_master *m = &w->master;
     const char *place = from;
     const double *values;
@@ -224,6 +252,10 @@ const char *ph_whole_state_fault(const void *of, const void *from) {
             return "a value of the coupling is not finite";
     if (!ph_master_sound(&w->master, values + own_values(w)))
         return "a count or a size of the coupling is out of range";
+    values = (const double *)(const void *)((const char *)from + ph_whole_placed_size(w));
+    for (size_t i = 0; i < landing_values(w); i++)
+        if (!isfinite(values[i]))
+            return "a rate of a guard is not finite";
     return NULL;
 }
 

@@ -15,6 +15,7 @@ typedef struct ph_whole_member {
     ph_impulses *kicks; /* or NULL */
     void *chain;        /* an instance for derivatives, or NULL */
     void *states;       /* where it was: two of the instance, one of the impulses */
+    void *inside;       /* what lands on its state events, owned, or NULL */
     ph_native native;
     int offset[PH_NBLOCK + 1]; /* in its table */
     int first[PH_NBLOCK];      /* in the table of all */
@@ -46,9 +47,21 @@ typedef struct ph_whole {
     int begun;    /* the junctions are those of the start under the present values */
     int sampled;  /* held signals are what their sources tell */
     long long *count;
+    ph_happened happened; /* in the last communication step */
+    void *lander;         /* owned, or NULL */
+    int set;              /* 1: values were set since the last step, so that guards may be beyond zero */
     ph_report report;
     int part;
 } ph_whole;
+
+/* network_map.c: one internal step, which begins at t + number*h; what comes is not the continuation of the
+ * last step; common variables at `begin` in all of the step, signals as their sources tell them; who refused,
+ * and why.
+ */
+int ph_whole_step(ph_whole *w, double t, double h, int number);
+void ph_whole_changed(ph_whole *w);
+int ph_whole_present(ph_whole *w, const double *begin);
+int ph_whole_refused(ph_whole *w, int status, double t, double h);
 
 static inline void ph_copy(double *to, const double *from, int n) {
     if (n > 0)
@@ -74,6 +87,10 @@ void ph_whole_keep(const void *of, double *kept);
 void ph_whole_join(void *of, const double *kept, double part);
 size_t ph_whole_state_size(const void *of);
 int ph_whole_save(void *of, void *out);
+/* The same without what the lander goes on from, which is at the end. */
+size_t ph_whole_placed_size(const ph_whole *w);
+int ph_whole_put(ph_whole *w, void *out);
+int ph_whole_back(ph_whole *w, const void *from);
 int ph_whole_load(void *of, const void *from);
 const char *ph_whole_state_fault(const void *of, const void *from);
 int ph_whole_returns(const void *about);
