@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -30,11 +29,10 @@ from phfmu.derivatives.sensitive import SensitiveSteps
 from phfmu.network.couplings.anderson import Anderson
 from phfmu.network.couplings.coupled import Coupled
 from phfmu.network.couplings.newton import Newton, newton
-from phfmu.network.members.engine_member import EngineMember
-from phfmu.network.members.member import Member
 from phfmu.network.network import Network
 from phfmu.results.file import open_result
 from phfmu.signals import derivative_name
+from tests.derivatives.apart_runs import differ, members, rounding
 from tests.derivatives.differences import largest, richardson
 from tests.wide import wide
 
@@ -47,26 +45,11 @@ CASES: dict[str, tuple[list[str], int, float, tuple[Event, ...]]] = {
 }  # fmt: skip
 
 
-def members(
-    network: Network, order: int = 2, engine: Any = NativeInstance, orders: dict[str, int] | None = None
-) -> list[Member]:
-    """Members with schemes of these orders."""
-    found = list[Member]()
-    for name, d in network.separate(set()).items():
-        model = build_model(d, default_scheme(d, (orders or {}).get(name, order)))
-        found.append(EngineMember(name, model, engine(model)))
-    return found
-
-
 def scene(name: str) -> tuple[Network, Options]:
     _, n, h, events = CASES[name]
     network = build(name).system
     assert isinstance(network, Network)
     return network, Options(stop=n * h, step=h, events=events, project=name in ("smib", "two_machine"))
-
-
-def rounding(column: str) -> bool:
-    return "constraint." in column or column.endswith((".residual", ".gap"))
 
 
 def follows_ends(column: str) -> bool:
@@ -108,41 +91,12 @@ def test_they_are_those_of_the_composed_steps(name: str, order: int, engine: Any
     assert {k: e for k, e in errors.items() if e > 1e-9} == {}
 
 
-def _differ(
-    network: Network, by: Sequence[str], options: Options, made: Callable[[Network], list[Member]], coupling: Any
-) -> dict[tuple[str, str], float]:
-    """Errors of columns against extrapolated differences of coupled runs, the start left out: there junctions have the limit of
-    ever shorter steps, to 1e-6."""
-    stepper = SensitiveMembers(Coupled(network, made(network), coupling), by)
-    found, plain = run(stepper, options), run(Coupled(network, made(network), coupling), options)
-    d = network.compose()
-    known = {n: x for v in (*d.parameters, *d.states) for n, x in zip(v.names(), v.start, strict=True)}
-    size, errors = largest(plain), {}
-    for n in by:
-
-        def values(x: float, n: str = n) -> np.ndarray:
-            other = with_settings(network, {n: x}) if n in known else network
-            coupled = Coupled(other, made(other), coupling)
-            if n not in known:
-                coupled.set_value(n, x)
-            return run(coupled, options).values
-
-        base = known.get(n, 0.0) or 1.0
-        slopes = richardson(values, known.get(n, 0.0), 1e-3 * abs(base))
-        for q in (q for q in stepper.derived_names if not rounding(q)):
-            i = plain.names.index(q)
-            least = 1e-4 * size[plain.units[i]] / abs(base)
-            own = np.abs(found.column(derivative_name(q, n)) - slopes[:, i])[1:].max()
-            errors[q, n] = float(own / max(np.abs(slopes[:, i]).max(), least, 1e-12))
-    return errors
-
-
 @pytest.mark.usefixtures("compiler")
 @pytest.mark.parametrize("name", ["oscillator", "speed_control", *wide(["two_machine"])])
 def test_all_columns_are_the_differences_of_coupled_runs(name: str) -> None:
     network, options = scene(name)
     by = CASES[name][0][:2]
-    errors = _differ(network, by, options, lambda n: members(n, 4), newton)
+    errors = differ(network, by, options, lambda n: members(n, 4), newton)
     assert {k: e for k, e in errors.items() if e > 2e-7} == {}
 
 
@@ -155,7 +109,7 @@ def test_held_values_and_members_of_other_orders(coupling: Any, accuracy: float)
     """
     network, options = scene("oscillator")
     orders = {"mass1": 2, "mass2": 6, "spring12": 4}
-    errors = _differ(network, ["spring12.k", "mass1.q"], options, lambda n: members(n, orders=orders), coupling)
+    errors = differ(network, ["spring12.k", "mass1.q"], options, lambda n: members(n, orders=orders), coupling)
     assert {k: e for k, e in errors.items() if e > accuracy} == {}
 
 
@@ -163,7 +117,7 @@ def test_held_values_and_members_of_other_orders(coupling: Any, accuracy: float)
 def test_members_of_other_orders_exchange_what_the_least_takes() -> None:
     network, options = scene("oscillator")
     orders = {"mass1": 2, "mass2": 6, "spring12": 4}
-    errors = _differ(network, ["mass1.m", "spring12.k"], options, lambda n: members(n, orders=orders), newton)
+    errors = differ(network, ["mass1.m", "spring12.k"], options, lambda n: members(n, orders=orders), newton)
     assert {k: e for k, e in errors.items() if e > 2e-7} == {}
 
 
@@ -197,7 +151,7 @@ def test_run_writes_them(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (["oscillator", "--coupling", "jacobi", "--sensitivity", "mass1.m"], "take --coupling newton"),
+        (["speed_control", "--coupling", "jacobi", "--sensitivity", "rotor.J"], "signals that are held"),
         (["oscillator", "--coupling", "newton", "--unconverged", "halve", "--sensitivity", "mass1.m"], "--unconverged"),
         (["oscillator", "--coupling", "newton", "--sensitivity", "mass1.nix"], "no parameter, state or input 'mass1.nix'"),
         (["oscillator", "--coupling", "newton", "--parts", "mass1=2", "--sensitivity", "mass1.m"], "member 'mass1' takes 2"),

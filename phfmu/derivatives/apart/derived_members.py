@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from phfmu.derivatives.apart.in_turn_maps import InTurnMaps
 from phfmu.derivatives.apart.joint_maps import JointMaps, JointSteps
-from phfmu.derivatives.apart.member_maps import MemberMaps
+from phfmu.derivatives.apart.member_maps import MemberMaps, MemberSteps
 from phfmu.derivatives.by import By
 from phfmu.derivatives.tangents import Tangents, in_parts, of_quantities, require_derived
 from phfmu.discretise.model import Model, build_model
@@ -20,6 +21,8 @@ from phfmu.interrupt import Interrupted
 from phfmu.network.couplings.anderson import Anderson
 from phfmu.network.couplings.coupled import Coupled
 from phfmu.network.couplings.coupling import Solution
+from phfmu.network.couplings.gauss_seidel import GaussSeidel
+from phfmu.network.couplings.jacobi import Jacobi
 from phfmu.network.couplings.newton import Newton
 from phfmu.network.couplings.stepper import Landing
 from phfmu.network.couplings.unconverged import Accepting, Halving
@@ -33,14 +36,12 @@ from phfmu.signals import Quantity, of_member, quantities
 
 Array = NDArray[np.float64]
 
-#: steps that are linearised at a time
-AT_ONCE = 256
-
 
 class DerivedMembers(Coupled):
     """Members stepped apart, whose rows are derived by parameters, held inputs or start values `by`, as `member.name`.
 
-    Where the coupling iterates, the derivative is that of the solution of the interface, to the accuracy of its acceptance.
+    Where the coupling iterates, the derivative is that of the solution of the interface, to the accuracy of its acceptance;
+    where members step in turn, that of the values they take from each other.
     Errors: KeyError for names that are none; ValueError for members, couplings and steps without derivatives, with the remedy.
     """
 
@@ -61,8 +62,12 @@ class DerivedMembers(Coupled):
         wired: list[list[int]] = [[] for _ in self.engines]
         for _, _, target, i in found.wires.tolist():
             wired[target].append(i)
-        parts = zip(self.engines, found.parts, own, wired, strict=True)
-        self.maps = JointMaps(found, [MemberMaps(*p) for p in parts])
+        if isinstance(self.coupling, GaussSeidel | Jacobi):
+            parts = zip(self.engines, found.parts, own, strict=True)
+            self.maps = InTurnMaps(found, list(parts), self.coupling.groups(self.joined))
+        else:
+            parts = zip(self.engines, found.parts, own, wired, strict=True)
+            self.maps = JointMaps(found, [MemberMaps(*p) for p in parts])
         #: columns that are no derivatives
         self.own_names = list(self.names)
         #: entries of all members, junctions and sums at ends, which columns are made of
@@ -142,10 +147,10 @@ class DerivedMembers(Coupled):
                 f"{name}: steps that may be halved, or accepted as they are, where the interface does not converge have no "
                 "derivatives; leave out --unconverged and take shorter steps"
             )
-        if not isinstance(self.coupling, Newton | Anderson):
+        if not isinstance(self.coupling, Newton | Anderson | GaussSeidel | Jacobi):
             raise ValueError(
-                f"{name}: {type(self.coupling).__name__} steps have no derivatives here: they are told of steps that solve the "
-                f"interface; take --coupling newton, or {instead}"
+                f"{name}: steps of {type(self.coupling).__name__}, whose rule is a function in Python, have no derivatives; take "
+                f"--coupling newton, or {instead}"
             )
         if self._signals.any_held:
             held = ", ".join(of_member(w.source, w.output) for w in self._signals.held[:3])
@@ -231,13 +236,15 @@ class DerivedMembers(Coupled):
             self.by.require_constant(self.joined.network.name, self.joined.followed.data.names)
         before = [m.instance.x[: m.model.step.nx].copy() for m in self.engines]
         given = [self._outside(i, t0, h, k) for i in range(len(self.engines))]
+        states = self.joined.states() if self.maps.in_turn else []
         steps = super().advance(t0, h, 1, k)
-        z, t, parts = self.master.unknowns.copy(), t0 + k * h, []
+        t, parts = t0 + k * h, list[MemberSteps]()
+        z, instants = self.maps.unknowns(self.master.unknowns, self.joined, states, given, t)
         for m, x, u in zip(self.maps.members, before, given, strict=True):
             if m.member.instance.solves != 1:
                 raise in_parts(m.member.model, t, h)
             parts.append(m.stepped(z[m.part.col], u, x, t, h))
-        return steps, JointSteps(parts, z[None])
+        return steps, JointSteps(parts, z[None], instants)
 
     def kept_steps(
         self, t0: float, h: float, n: int, first: int

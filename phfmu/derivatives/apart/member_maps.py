@@ -54,6 +54,25 @@ class MemberSteps:
 
 
 @dataclass(frozen=True)
+class Instants:
+    """Instants within steps at which a member was asked for its outputs: times (n x instants), its states, inputs and algebraic
+    variables there (n x instants x ..)."""
+
+    t: Array
+    x: Array
+    u: Array
+    a: Array
+
+    def some(self, which: slice) -> Instants:
+        """Those of some steps."""
+        return Instants(self.t[which], self.x[which], self.u[which], self.a[which])
+
+    @staticmethod
+    def joined(steps: list[Instants]) -> Instants:
+        return Instants(*(np.concatenate([getattr(s, n) for s in steps]) for n in ("t", "x", "u", "a")))
+
+
+@dataclass(frozen=True)
 class Linearised:
     """Per step the derivatives by [x0 | names | unknowns that reach it]: of x1, of what is told, of outputs at nodes and the end
     (k nu + nu), and of S0 v before and S1 v after the step (vectors x kicks).  `passed`: derivatives of what is told by the
@@ -171,6 +190,17 @@ class MemberMaps:
             outputs[:, self.part.k * self.part.nu + np.array(self.slopes.pairs, int)] = y
         passed = np.concatenate([np.zeros((n, stop, len(self.wired))), by_signals], axis=1)
         return Linearised(X, np.concatenate([told, ends], axis=1), outputs, before, after, passed)
+
+    def presented(self, at: Instants, p: Array, acts: Array) -> Array:
+        """Derivatives (n x instants x nu x columns) of the outputs at instants by [states there | names | unknowns there]."""
+        n, count = at.t.shape
+        x, u, a = (v.reshape(n * count, -1) for v in (at.x, at.u, at.a))
+        found = self._instant.at_instants(at.t.ravel(), x, u, p, a)
+        first = self.of_instant["y_end"].start - self.of_step["dissipated"].stop
+        found = found[:, first : first + self.part.nu]
+        C = self.nx + self.names + self.reached
+        along = self._along(found, np.eye(self.nx, C)[None], self._feed_end[self._fed_end], acts)
+        return along.reshape(n, count, self.part.nu, C)
 
     def _along(self, found: Array, X: Array, feed: Array, acts: Array) -> Array:
         """By [x0 | names | unknowns] of what has derivatives by states, directions and fed inputs."""

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.derivatives.apart.derived_members import AT_ONCE, DerivedMembers
+from phfmu.derivatives.apart.derived_members import DerivedMembers
 from phfmu.derivatives.apart.joint_maps import JointSteps
 from phfmu.derivatives.sensitive import slope_units
 from phfmu.derivatives.tangents import of_quantities, with_sums
@@ -98,8 +98,8 @@ class SensitiveMembers(DerivedMembers):
     def _derived(self, parts: list[Steps], kept: list[JointSteps]) -> Steps:
         """The record of steps with the derivatives of their rows."""
         steps, rows = Steps.joined(parts), list[Array]()
-        for i in range(0, len(kept), AT_ONCE):
-            rows.append(self._along(JointSteps.joined(kept[i : i + AT_ONCE])))
+        for i in range(0, len(kept), self.maps.at_once):
+            rows.append(self._along(JointSteps.joined(kept[i : i + self.maps.at_once])))
         found = np.concatenate(rows)
         self._row = found[-1]
         return replace(steps, signals=np.hstack([steps.signals, found]))

@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.derivatives.apart.derived_members import AT_ONCE, DerivedMembers
+from phfmu.derivatives.apart.derived_members import DerivedMembers
+from phfmu.derivatives.apart.in_turn_maps import InTurnMaps
 from phfmu.derivatives.apart.joint_maps import JointMaps, JointSteps
 from phfmu.derivatives.apart.member_maps import MemberMaps
 from phfmu.network.couplings.coupled import Coupled
@@ -33,7 +34,7 @@ class _Stretch:
     maps: of the members under the scheme that took them
     """
 
-    maps: JointMaps
+    maps: JointMaps | InTurnMaps
     steps: JointSteps
     first: int
     acts: Array
@@ -113,8 +114,8 @@ class TapedMembers(DerivedMembers):
         found = np.zeros((width, total))
         for s in reversed(self._stretches):
             n = len(s.steps.z)
-            for start in reversed(range(0, n, AT_ONCE)):
-                some = slice(start, min(start + AT_ONCE, n))
+            for start in reversed(range(0, n, s.maps.at_once)):
+                some = slice(start, min(start + s.maps.at_once, n))
                 part = replace(s, steps=s.steps.some(some), first=s.first + start)
                 self._over(part, bars, xi, found)
         S, slopes = self._start
