@@ -106,7 +106,7 @@ class InTurnMaps:
         for b in self._blocks:
             matrix[:, b, b] = self._C
         for i, (m, own, act) in enumerate(zip(self.members, found, acts, strict=True)):
-            nx, first, mine = m.nx, m.nx + m.names, int(self._group[i])
+            nx, first, mine = m.nx, m.given, int(self._group[i])
             outputs = m.presented(steps.instants[i], steps.parts[i].taken.p, act)
             asked = np.einsum("ro,ngoc->ngrc", m.left[:, : m.part.nu], outputs)
             by = asked[..., :first].copy()

@@ -191,7 +191,7 @@ class JointMaps:
                 place = np.concatenate([place, np.arange(self._end.start, self._end.stop)])
             rows.append(mine)
             at.append(place)
-            first = m.nx + m.names
+            first = m.given
             for i in range(n):
                 matrix[i][np.ix_(place, m.part.col)] += mine[i, :, first:]
         return JointSlopes(found, rows, at, matrix, [slice(0, matrix.shape[1])])

@@ -141,10 +141,10 @@ class TapedMembers(DerivedMembers):
             back = list[Array]()
             for m, own, D, b, bar in zip(maps, slopes.members, told, bars[:-1], xi, strict=True):
                 back.append(D[i] + own.x[i].T @ (bar + b.x[first + i]))
-                z[i][m.part.col] += back[-1][m.nx + m.names :]
+                z[i][m.part.col] += back[-1][m.given :]
             mu = slopes.solved(i, z[i], transposed=True)
             for j, m in enumerate(maps):
-                stop = m.nx + m.names
+                stop = m.given
                 bar = back[j][:stop] + slopes.rows[j][i][:, :stop].T @ mu[slopes.at[j]]
                 xi[j][:] = bar[: m.nx]
                 found[self.at[j]] += bar[m.nx :]
