@@ -28,7 +28,9 @@ from phfmu.network.couplings.jacobi import Jacobi
 from phfmu.network.couplings.newton import Newton
 from phfmu.network.couplings.unconverged import Accepting, Halving
 from phfmu.network.members.engine_member import EngineMember
+from phfmu.network.members.fmu_member import FMUMember
 from phfmu.network.members.member import Member
+from phfmu.network.members.stepped_last import SteppedLast
 from phfmu.network.network import Network
 from phfmu.outcome.status import StepFailure
 from phfmu.outcome.steps import Steps
@@ -36,6 +38,14 @@ from phfmu.schemes.scheme import Scheme
 from phfmu.signals import Quantity, of_member, quantities
 
 Array = NDArray[np.float64]
+
+#: of units, what their functions of FMI tell of derivatives
+_OF_STEPS = (
+    "derivatives of the outputs of a step by its inputs are told, but not of the states at its end by those at its start, nor by "
+    "parameters, which go on to the next step"
+)
+_OF_POINTS = "derivatives of outputs by inputs are told at a communication point, but not how states, which may be hidden, follow over a step"
+_NO_DERIVATIVES = "no derivatives are told"
 
 
 class DerivedMembers(Coupled):
@@ -377,9 +387,23 @@ def _filled(values: Array, names: Sequence[str], known: Mapping[str, float]) -> 
 
 
 def _require_engines(network: Network, members: Sequence[Member]) -> None:
-    """ValueError names units, which have no derivatives here."""
-    if units := [m.name for m in members if not isinstance(m, EngineMember)]:
-        raise ValueError(
-            f"{network.name}: {', '.join(units)}: units do not tell how their states follow their parameters and states, so that "
-            "there are no derivatives through them; take the declarations they were exported from as members"
-        )
+    """ValueError names units, which have no derivatives here: of each what its functions of FMI tell, and what they do not."""
+    units = [m.inner if isinstance(m, SteppedLast) else m for m in members if not isinstance(m, EngineMember)]
+    if not units:
+        return
+    why, own = dict[str, list[str]](), True
+    for m in units:
+        words = _NO_DERIVATIVES
+        if isinstance(m, FMUMember):
+            own &= not m.unit.estimated
+            words = (
+                _NO_DERIVATIVES if not m.unit.interface.derivatives else _OF_POINTS if m.unit.estimated else _OF_STEPS
+            )
+        why.setdefault(words, []).append(m.name)
+    told = "; ".join(f"{', '.join(names)}: {words}" for words, names in why.items())
+    remedy = (
+        "take the declarations they were exported from as members"
+        if own
+        else "declare them, or take differences of whole runs (phfmu sweep)"
+    )
+    raise ValueError(f"{network.name}: there are no derivatives of runs through units: {told}; {remedy}")
