@@ -22,7 +22,7 @@ from phfmu.signals import derivative_name
 from tests.derivatives.apart_runs import differ, members
 from tests.derivatives.differences import richardson
 from tests.network.test_explicit import resistive
-from tests.wide import wide
+from tests.wide import longer
 
 BY = {"oscillator": ["mass1.m", "spring12.k", "mass1.q"], "resistive": ["m.m", "s.k", "d.d", "m.q"]}
 MEASURES = {
@@ -40,17 +40,20 @@ def network(name: str) -> Network:
 @pytest.mark.usefixtures("compiler")
 @pytest.mark.parametrize(
     ("name", "order", "engine", "coupling"),
-    wide(
-        [
-            (name, order, engine, coupling)
-            for name in BY
-            for order in (2, 4, 6)
-            for engine in (NativeInstance, PythonInstance)
-            for coupling in (GaussSeidel, Jacobi)
-        ],
+    [
         ("oscillator", 4, NativeInstance, GaussSeidel), ("resistive", 2, NativeInstance, GaussSeidel),
         ("resistive", 4, NativeInstance, Jacobi),
-    ),
+        *longer(
+            [
+                (name, order, engine, coupling)
+                for name in BY
+                for order in (2, 4, 6)
+                for engine in (NativeInstance, PythonInstance)
+                for coupling in (GaussSeidel, Jacobi)
+            ],
+            ("resistive", 4, PythonInstance, GaussSeidel),
+        ),
+    ],
 )  # fmt: skip
 def test_all_columns_are_the_differences_of_coupled_runs(name: str, order: int, engine: Any, coupling: Any) -> None:
     """The junctions of `resistive` have feedthrough, so that their unknowns follow from one another at each instant."""
@@ -115,7 +118,7 @@ def test_they_approach_those_of_steps_that_solve_the_junctions() -> None:
 
 
 @pytest.mark.usefixtures("compiler")
-@pytest.mark.parametrize("mode", wide(["forward", "reverse"], "reverse"))
+@pytest.mark.parametrize("mode", [pytest.param("forward", marks=pytest.mark.long), "reverse"])
 def test_an_event_ends_what_follows_from_a_parameter(mode: Any) -> None:
     options = Options(stop=0.16, step=0.02, events=(Event(0.08, "s.k", 30.0),))
 

@@ -44,7 +44,10 @@ _OF_STEPS = (
     "derivatives of the outputs of a step by its inputs are told, but not of the states at its end by those at its start, nor by "
     "parameters, which go on to the next step"
 )
-_OF_POINTS = "derivatives of outputs by inputs at a communication point are told, but not those of states, which may be hidden, over a step"
+_OF_POINTS = (
+    "derivatives of outputs by inputs at a communication point are told, but not those of states, which may be hidden, over a "
+    "step"
+)
 _NO_DERIVATIVES = "no derivatives are told"
 
 
