@@ -32,7 +32,7 @@ from phfmu.network.couplings.newton import newton
 from phfmu.network.scene import Scene
 from phfmu.signals import derivative_name
 from tests.derivatives.apart_runs import differ, members
-from tests.derivatives.differences import largest, richardson
+from tests.derivatives.differences import largest
 from tests.events.test_shared_jumps import ball
 from tests.wide import longer, wide
 
@@ -91,11 +91,11 @@ def test_they_are_those_of_the_composed_run(
     ("scene", "by", "stop"),
     wide(
         [
-            (buffer, ("body.m", "spring.a.velocity"), 0.45),
+            (buffer, ("body.m",), 0.35),
             (breaker_opening, ("line.R",), 0.027),
             (lambda: breaker_opening(forced=True), ("line.L",), 0.027),
         ],
-        (buffer, ("body.m", "spring.a.velocity"), 0.45),
+        (buffer, ("body.m",), 0.35),
     ),
 )
 def test_all_columns_are_the_differences_of_coupled_runs(scene: Any, by: Sequence[str], stop: float) -> None:
@@ -127,8 +127,9 @@ def test_a_run_as_a_function_starts_anew() -> None:
     f = RunFunction(net, Coupled(net, members(net, 4), newton), options, of, BODY[:3])
     begin = f.start[0]
     first, slopes = f(begin), f.jacobian(begin)
-    along = richardson(lambda e: f(np.where(np.arange(3) == 2, e, begin)), begin[2], 1e-3)
-    assert slopes[:, 2] == pytest.approx(along, rel=1e-8, abs=1e-9)
+    model = build_model(net.compose(), default_scheme(net.compose(), 4))
+    composed = gradient(model, NativeInstance(model), options, of, BODY[:3], mode="forward")
+    assert slopes == pytest.approx(composed.slopes, rel=1e-9, abs=1e-10)
     assert f(begin).tolist() == first.tolist()
     found = gradient(net, Coupled(net, members(net, 4), newton), options, of[:1], BODY[:3])
     assert found.mode == "forward"  # the other way would cost less
