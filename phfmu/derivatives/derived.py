@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,6 +62,40 @@ def mode_after(modes: Modes, mode: Mode, switched: Sequence[str]) -> Mode:
 def span(t: Array, h: Array) -> tuple[float, float]:
     """Times between which all parts of some steps begin, and no others; none for no steps."""
     return (float(t[0] - 1e-9 * h[0]), float(t[-1] + (1 - 1e-9) * h[-1])) if len(t) else (-np.inf, -np.inf)
+
+
+class Met(Protocol):
+    """State events that happened at one instant."""
+
+    @property
+    def t(self) -> float: ...
+    @property
+    def events(self) -> tuple[int, ...]: ...
+    @property
+    def rests(self) -> tuple[int, ...]: ...
+
+
+def close_events(met: Sequence[Met], names: Sequence[str], h: float) -> list[str]:
+    """Lines on state events, by number of the guards `names`, in steps of length h, whose sequence other values may change."""
+    found, near = list[str](), LIMITS["PILE_UP"] * h
+    for e in met:
+        if e.rests:
+            piled, many = (
+                " and ".join(names[i] for i in e.rests),
+                sum(set(e.rests) <= set(m.events) for m in met),
+            )
+            found.append(
+                f"{piled} at t = {e.t:.9g} s: events pile up and end there; derivatives are those of the {many} that "
+                "happened, of which other values have more or fewer"
+            )
+    for e, other in pairwise(met):
+        if 0.0 < other.t - e.t < near and set(e.events) != set(other.events):
+            one, two = (" and ".join(names[i] for i in m.events) for m in (e, other))
+            found.append(
+                f"{one} at t = {e.t:.9g} s and {two} {other.t - e.t:.2g} s later: with other values they may happen in "
+                "another order, which derivatives do not know"
+            )
+    return found
 
 
 class DerivedSteps(Monolithic):
@@ -124,28 +158,9 @@ class DerivedSteps(Monolithic):
 
     def notes(self) -> list[str]:
         """State events whose sequence other values, however close, may change: derivatives are those of what happened."""
-        if self.maps is None or not self.met:
-            return []
-        found, (grid, _) = [], self._grid
-        names, near = self.maps.plan.names, LIMITS["PILE_UP"] * grid.h
-        for e in self.met:
-            if e.rests:
-                piled, many = (
-                    " and ".join(names[i] for i in e.rests),
-                    sum(set(e.rests) <= set(m.events) for m in self.met),
-                )
-                found.append(
-                    f"{piled} at t = {e.t:.9g} s: events pile up and end there; derivatives are those of the {many} that "
-                    "happened, of which other values have more or fewer"
-                )
-        for e, other in pairwise(self.met):
-            if 0.0 < other.t - e.t < near and set(e.events) != set(other.events):
-                one, two = (" and ".join(names[i] for i in m.events) for m in (e, other))
-                found.append(
-                    f"{one} at t = {e.t:.9g} s and {two} {other.t - e.t:.2g} s later: with other values they may happen in "
-                    "another order, which derivatives do not know"
-                )
-        return found
+        return (
+            [] if self.maps is None or not self.met else close_events(self.met, self.maps.plan.names, self._grid[0].h)
+        )
 
     def forget(self) -> None:
         """What was kept of the steps so far belongs to another run."""

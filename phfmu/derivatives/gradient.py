@@ -184,8 +184,8 @@ def chosen_mode(mode: Mode, instance: Any, measures: int, names: int) -> str:
     """Forward or reverse, what costs less if it is open; ValueError where a mode is none, or has no code."""
     if mode not in get_args(Mode):
         raise ValueError(f"mode '{mode}': expected {', '.join(get_args(Mode))}")
-    if isinstance(instance, Coupled):  # both ways in NumPy, over the same linearisations
-        return mode if mode != "auto" else "reverse" if measures < names else "forward"
+    if isinstance(instance, Coupled):  # both ways in NumPy, over the same linearisations; state events forward only
+        return mode if mode != "auto" else "reverse" if measures < names and not instance.lands else "forward"
     native = isinstance(getattr(instance, "present", instance), NativeInstance)
     if mode == "reverse" and not native:
         raise ValueError("derivatives go backwards in compiled code only; take a NativeInstance, or mode forward")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -30,12 +29,13 @@ from phfmu.derivatives.sensitive import SensitiveSteps
 from phfmu.network.couplings.anderson import Anderson
 from phfmu.network.couplings.coupled import Coupled
 from phfmu.network.couplings.newton import Newton, newton
-from phfmu.network.members.engine_member import EngineMember
-from phfmu.network.members.member import Member
 from phfmu.network.network import Network
 from phfmu.results.file import open_result
 from phfmu.signals import derivative_name
+from tests.derivatives.apart_runs import differ, members, rounding
 from tests.derivatives.differences import largest, richardson
+from tests.fmu import foreign
+from tests.network.test_units import SCENE, SIDECAR
 from tests.wide import wide
 
 #: scene, what it is derived by, steps, their length, what is set within the run
@@ -47,26 +47,11 @@ CASES: dict[str, tuple[list[str], int, float, tuple[Event, ...]]] = {
 }  # fmt: skip
 
 
-def members(
-    network: Network, order: int = 2, engine: Any = NativeInstance, orders: dict[str, int] | None = None
-) -> list[Member]:
-    """Members with schemes of these orders."""
-    found = list[Member]()
-    for name, d in network.separate(set()).items():
-        model = build_model(d, default_scheme(d, (orders or {}).get(name, order)))
-        found.append(EngineMember(name, model, engine(model)))
-    return found
-
-
 def scene(name: str) -> tuple[Network, Options]:
     _, n, h, events = CASES[name]
     network = build(name).system
     assert isinstance(network, Network)
     return network, Options(stop=n * h, step=h, events=events, project=name in ("smib", "two_machine"))
-
-
-def rounding(column: str) -> bool:
-    return "constraint." in column or column.endswith((".residual", ".gap"))
 
 
 def follows_ends(column: str) -> bool:
@@ -108,41 +93,12 @@ def test_they_are_those_of_the_composed_steps(name: str, order: int, engine: Any
     assert {k: e for k, e in errors.items() if e > 1e-9} == {}
 
 
-def _differ(
-    network: Network, by: Sequence[str], options: Options, made: Callable[[Network], list[Member]], coupling: Any
-) -> dict[tuple[str, str], float]:
-    """Errors of columns against extrapolated differences of coupled runs, the start left out: there junctions have the limit of
-    ever shorter steps, to 1e-6."""
-    stepper = SensitiveMembers(Coupled(network, made(network), coupling), by)
-    found, plain = run(stepper, options), run(Coupled(network, made(network), coupling), options)
-    d = network.compose()
-    known = {n: x for v in (*d.parameters, *d.states) for n, x in zip(v.names(), v.start, strict=True)}
-    size, errors = largest(plain), {}
-    for n in by:
-
-        def values(x: float, n: str = n) -> np.ndarray:
-            other = with_settings(network, {n: x}) if n in known else network
-            coupled = Coupled(other, made(other), coupling)
-            if n not in known:
-                coupled.set_value(n, x)
-            return run(coupled, options).values
-
-        base = known.get(n, 0.0) or 1.0
-        slopes = richardson(values, known.get(n, 0.0), 1e-3 * abs(base))
-        for q in (q for q in stepper.derived_names if not rounding(q)):
-            i = plain.names.index(q)
-            least = 1e-4 * size[plain.units[i]] / abs(base)
-            own = np.abs(found.column(derivative_name(q, n)) - slopes[:, i])[1:].max()
-            errors[q, n] = float(own / max(np.abs(slopes[:, i]).max(), least, 1e-12))
-    return errors
-
-
 @pytest.mark.usefixtures("compiler")
 @pytest.mark.parametrize("name", ["oscillator", "speed_control", *wide(["two_machine"])])
 def test_all_columns_are_the_differences_of_coupled_runs(name: str) -> None:
     network, options = scene(name)
     by = CASES[name][0][:2]
-    errors = _differ(network, by, options, lambda n: members(n, 4), newton)
+    errors = differ(network, by, options, lambda n: members(n, 4), newton)
     assert {k: e for k, e in errors.items() if e > 2e-7} == {}
 
 
@@ -155,7 +111,7 @@ def test_held_values_and_members_of_other_orders(coupling: Any, accuracy: float)
     """
     network, options = scene("oscillator")
     orders = {"mass1": 2, "mass2": 6, "spring12": 4}
-    errors = _differ(network, ["spring12.k", "mass1.q"], options, lambda n: members(n, orders=orders), coupling)
+    errors = differ(network, ["spring12.k", "mass1.q"], options, lambda n: members(n, orders=orders), coupling)
     assert {k: e for k, e in errors.items() if e > accuracy} == {}
 
 
@@ -163,7 +119,7 @@ def test_held_values_and_members_of_other_orders(coupling: Any, accuracy: float)
 def test_members_of_other_orders_exchange_what_the_least_takes() -> None:
     network, options = scene("oscillator")
     orders = {"mass1": 2, "mass2": 6, "spring12": 4}
-    errors = _differ(network, ["mass1.m", "spring12.k"], options, lambda n: members(n, orders=orders), newton)
+    errors = differ(network, ["mass1.m", "spring12.k"], options, lambda n: members(n, orders=orders), newton)
     assert {k: e for k, e in errors.items() if e > 2e-7} == {}
 
 
@@ -197,7 +153,7 @@ def test_run_writes_them(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (["oscillator", "--coupling", "jacobi", "--sensitivity", "mass1.m"], "take --coupling newton"),
+        (["speed_control", "--coupling", "jacobi", "--sensitivity", "rotor.J"], "signals that are held"),
         (["oscillator", "--coupling", "newton", "--unconverged", "halve", "--sensitivity", "mass1.m"], "--unconverged"),
         (["oscillator", "--coupling", "newton", "--sensitivity", "mass1.nix"], "no parameter, state or input 'mass1.nix'"),
         (["oscillator", "--coupling", "newton", "--parts", "mass1=2", "--sensitivity", "mass1.m"], "member 'mass1' takes 2"),
@@ -301,3 +257,36 @@ def test_a_fit_of_members_apart_finds_what_made_the_data(tmp_path: Path) -> None
     values = json.loads(to.read_text())["values"]
     assert values["mass1.m"] == pytest.approx(1.04, rel=1e-7)
     assert values["spring12.k"] == pytest.approx(151.0, rel=1e-7)
+
+
+# -- units ---------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.usefixtures("compiler")
+def test_a_unit_of_this_package_is_refused_with_what_it_tells(capsys: pytest.CaptureFixture[str]) -> None:
+    """Its functions give derivatives of the outputs of a step by its inputs; those of a run need its states', too."""
+    options = ["--member", "mass1=fmu", "--coupling", "newton", "--sensitivity", "spring12.k", "--stop", "0.1"]
+    assert main(["run", "oscillator", *options]) == 2
+    said = capsys.readouterr().err
+    assert "mass1: derivatives of the outputs of a step by its inputs are told, but not of the states" in said
+    assert "take the declarations they were exported from" in said
+
+
+@pytest.mark.usefixtures("compiler")
+@pytest.mark.parametrize("version", wide(["2.0", "3.0"], "3.0"))
+def test_a_unit_of_another_tool_is_refused_with_what_it_tells(
+    tmp_path: Path, version: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One that gives derivatives at communication points has states that nobody sees; one that gives none says so."""
+    attribute = {"2.0": "providesDirectionalDerivative", "3.0": "providesDirectionalDerivatives"}[version]
+    path = tmp_path / "mixed.py"
+    path.write_text(SCENE.format(name="mixed", pump='"pump.fmu"'))
+    (tmp_path / "pump.ports.toml").write_text(SIDECAR)
+    for abilities, said in (
+        ("", "pump: no derivatives are told"),
+        (f'{attribute}="true"', "states, which may be hidden"),
+    ):
+        foreign.mass(tmp_path / "pump.fmu", version, abilities=abilities)
+        assert main(["run", f"{path}:mixed", "--sensitivity", "spring.k", "--stop", "0.1"]) == 2
+        told = capsys.readouterr().err
+        assert said in told and "declare them, or take differences" in told

@@ -17,6 +17,7 @@ LOSSES = ("linear", "soft_l1", "huber", "cauchy", "arctan")
 def add_parser(verbs: Any) -> None:
     from phfmu.cli.codes import TARGET
     from phfmu.cli.one_model import add_one_model
+    from phfmu.network.couplings.coupling_table import AUTO, COUPLINGS
     from phfmu.network.members.interpolations import INTERPOLATIONS
 
     parser = verbs.add_parser("fit", help="parameters from measurements, by least squares with exact derivatives")
@@ -38,7 +39,7 @@ def add_parser(verbs: Any) -> None:
     parser.add_argument("--loss", default="linear", choices=LOSSES, help="how residuals count (default: their squares)")
     parser.add_argument("--stop", type=float, help="stop time in s (default: after the last measurement)")
     add_one_model(parser)
-    parser.add_argument("--coupling", default="monolithic", choices=("monolithic", "newton", "anderson"),
+    parser.add_argument("--coupling", default="monolithic", choices=[n for n in COUPLINGS if n != AUTO.name],
                         help="of the members of a network that are stepped apart (default: as one composed model)")  # fmt: skip
     parser.add_argument("--input", metavar="FILE", help="input values over time, as of phfmu run")
     parser.add_argument("--interpolate", default="held", choices=tuple(INTERPOLATIONS), help="as of phfmu run")

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from phfmu.derivatives.apart.in_turn_maps import InTurnMaps
+from phfmu.derivatives.apart.joint_events import JointEvents
 from phfmu.derivatives.apart.joint_maps import JointMaps, JointSteps
-from phfmu.derivatives.apart.member_maps import MemberMaps
+from phfmu.derivatives.apart.member_maps import MemberMaps, MemberSteps
 from phfmu.derivatives.by import By
+from phfmu.derivatives.derived import close_events
 from phfmu.derivatives.tangents import Tangents, in_parts, of_quantities, require_derived
 from phfmu.discretise.model import Model, build_model
 from phfmu.discretise.start import Projection
@@ -20,11 +23,14 @@ from phfmu.interrupt import Interrupted
 from phfmu.network.couplings.anderson import Anderson
 from phfmu.network.couplings.coupled import Coupled
 from phfmu.network.couplings.coupling import Solution
+from phfmu.network.couplings.gauss_seidel import GaussSeidel
+from phfmu.network.couplings.jacobi import Jacobi
 from phfmu.network.couplings.newton import Newton
-from phfmu.network.couplings.stepper import Landing
 from phfmu.network.couplings.unconverged import Accepting, Halving
 from phfmu.network.members.engine_member import EngineMember
+from phfmu.network.members.fmu_member import FMUMember
 from phfmu.network.members.member import Member
+from phfmu.network.members.stepped_last import SteppedLast
 from phfmu.network.network import Network
 from phfmu.outcome.status import StepFailure
 from phfmu.outcome.steps import Steps
@@ -33,16 +39,30 @@ from phfmu.signals import Quantity, of_member, quantities
 
 Array = NDArray[np.float64]
 
-#: steps that are linearised at a time
-AT_ONCE = 256
+#: of units, what their functions of FMI tell of derivatives
+_OF_STEPS = (
+    "derivatives of the outputs of a step by its inputs are told, but not of the states at its end by those at its start, nor by "
+    "parameters, which go on to the next step"
+)
+_OF_POINTS = (
+    "derivatives of outputs by inputs at a communication point are told, but not those of states, which may be hidden, over a "
+    "step"
+)
+_NO_DERIVATIVES = "no derivatives are told"
 
 
 class DerivedMembers(Coupled):
     """Members stepped apart, whose rows are derived by parameters, held inputs or start values `by`, as `member.name`.
 
-    Where the coupling iterates, the derivative is that of the solution of the interface, to the accuracy of its acceptance.
+    Where the coupling iterates, the derivative is that of the solution of the interface, to the accuracy of its acceptance;
+    where members step in turn, that of the values they take from each other.
     Errors: KeyError for names that are none; ValueError for members, couplings and steps without derivatives, with the remedy.
     """
+
+    #: whether state events of members are followed
+    through_events = False
+    #: length of steps that do not land
+    grid = 0.0
 
     def __init__(self, apart: Coupled, by: Sequence[str]):
         network, members = apart.joined.network, apart.joined.members
@@ -61,8 +81,14 @@ class DerivedMembers(Coupled):
         wired: list[list[int]] = [[] for _ in self.engines]
         for _, _, target, i in found.wires.tolist():
             wired[target].append(i)
-        parts = zip(self.engines, found.parts, own, wired, strict=True)
-        self.maps = JointMaps(found, [MemberMaps(*p) for p in parts])
+        if isinstance(self.coupling, GaussSeidel | Jacobi):
+            parts = zip(self.engines, found.parts, own, strict=True)
+            self.maps = InTurnMaps(found, list(parts), self.coupling.groups(self.joined))
+        else:
+            parts = zip(self.engines, found.parts, own, wired, strict=True)
+            self.maps = JointMaps(found, [MemberMaps(*p, moves=self.lands) for p in parts])
+        #: of state events on which all members end their steps together
+        self.events = JointEvents(self.model, self.joined, self.engines, self._lander, self.by) if self.lands else None
         #: columns that are no derivatives
         self.own_names = list(self.names)
         #: entries of all members, junctions and sums at ends, which columns are made of
@@ -82,14 +108,21 @@ class DerivedMembers(Coupled):
         """The same members as one model, which the start is derived by."""
         return build_model(self.joined.network.compose(), self.engines[0].model.scheme)
 
+    def notes(self) -> list[str]:
+        """State events whose sequence other values, however close, may change, too."""
+        own = super().notes()
+        return own if self.events is None else [*own, *close_events(self.events.met, self.events.names, self.grid)]
+
     def forget(self) -> None:
         """Drops what was kept of steps, which belong to another run."""
+        if self.events is not None:
+            self.events.met.clear()
         self._acts, self._begun = np.ones(len(self.by.names)), False
 
     @property
     def sequence(self) -> tuple[tuple[int, ...], ...]:
-        """Numbers of the state events of the run: none."""
-        return ()
+        """Numbers of the state events of the run, one instant after the other."""
+        return () if self.events is None else tuple(e.events for e in self.events.met)
 
     def begin(self, values: Mapping[str, float]) -> None:
         """Back to the start, with other parameters, start values or held inputs, by scalar name."""
@@ -112,6 +145,9 @@ class DerivedMembers(Coupled):
         self._sums.forget()
         self._signals.forget()
         self.last, self._at_start = Solution(self.joined.face.start.copy()), None
+        if self.events is not None:
+            self._land_anew()
+            self.events.lander = self._lander
         self.forget()
 
     def require_derivable(self, name: str) -> None:
@@ -142,10 +178,10 @@ class DerivedMembers(Coupled):
                 f"{name}: steps that may be halved, or accepted as they are, where the interface does not converge have no "
                 "derivatives; leave out --unconverged and take shorter steps"
             )
-        if not isinstance(self.coupling, Newton | Anderson):
+        if not isinstance(self.coupling, Newton | Anderson | GaussSeidel | Jacobi):
             raise ValueError(
-                f"{name}: {type(self.coupling).__name__} steps have no derivatives here: they are told of steps that solve the "
-                f"interface; take --coupling newton, or {instead}"
+                f"{name}: steps of {type(self.coupling).__name__}, whose rule is a function in Python, have no derivatives; take "
+                f"--coupling newton, or {instead}"
             )
         if self._signals.any_held:
             held = ", ".join(of_member(w.source, w.output) for w in self._signals.held[:3])
@@ -154,17 +190,36 @@ class DerivedMembers(Coupled):
             )
         for m in self.joined.members:
             assert isinstance(m, EngineMember)
-            if m.model.events is not None or m.model.modes is not None:
-                raise ValueError(
-                    f"{name}: member '{m.name}' has state events, through which members stepped apart have no "
-                    f"derivatives; {instead}"
-                )
+            self._require_landing(m)
             if m.parts != 1:
                 raise ValueError(
                     f"{name}: member '{m.name}' takes {m.parts} steps in one, of which derivatives know the last one only; leave "
                     f"out --parts, or {instead}"
                 )
             require_derived(m.model)
+
+    def _require_landing(self, m: EngineMember) -> None:
+        """ValueError where derivatives do not go through the state events of a member."""
+        instead, name = self.joined.network.to_compose, self.joined.network.name
+        if m.model.modes is not None:
+            raise ValueError(
+                f"{name}: member '{m.name}' has ideal switches, through which members stepped apart have no derivatives; "
+                f"{instead}"
+            )
+        if m.model.events is None:
+            return
+        why = ""
+        if not self.lands:
+            why = (
+                "that happen inside its own steps, of which derivatives know the whole only; take --coupling newton and "
+                "--order 4 or 6, with which all members land together, where they can"
+            )
+        elif not self.through_events:
+            why = "through which derivatives of members stepped apart go forward only; take mode forward"
+        elif len(self.master.found.bare):
+            why = "beside impulses at bare nodes, which derivatives do not go through together"
+        if why:
+            raise ValueError(f"{name}: member '{m.name}' has state events {why}, or {instead}")
 
     # -- values ----------------------------------------------------------------------------------------------------------
 
@@ -197,6 +252,11 @@ class DerivedMembers(Coupled):
 
     def companion(self, scheme: Scheme) -> DerivedMembers:
         """As of `Coupled`, derived too."""
+        if self.lands:
+            raise ValueError(
+                f"{self.joined.network.name}: derivatives through state events are told of steps that are not damped; leave out "
+                "--restart, or the derivatives"
+            )
         made = self.like(super().companion(scheme))
         self._works.share(made._works)
         return made
@@ -220,24 +280,35 @@ class DerivedMembers(Coupled):
         if instance is self:
             self.go_on(other)
 
-    def land(self, t0: float, h: float, n: int, first: int = 0, changed: bool = True) -> Iterator[Landing]:
-        raise ValueError(f"{self.joined.network.name}: state events of members stepped apart have no derivatives")
-
     # -- steps -----------------------------------------------------------------------------------------------------------
 
     def kept_step(self, t0: float, h: float, k: int) -> tuple[Steps, JointSteps]:
         """Step k of a grid, and what it is derived by."""
         if self.joined.followed is not None:
             self.by.require_constant(self.joined.network.name, self.joined.followed.data.names)
-        before = [m.instance.x[: m.model.step.nx].copy() for m in self.engines]
+        before, states = self.states_now(), self.joined.states() if self.maps.in_turn else []
         given = [self._outside(i, t0, h, k) for i in range(len(self.engines))]
         steps = super().advance(t0, h, 1, k)
-        z, t, parts = self.master.unknowns.copy(), t0 + k * h, []
+        return steps, self.joint_step(before, given, t0 + k * h, h, states)
+
+    def states_now(self) -> list[Array]:
+        """States of the members."""
+        return [m.instance.x[: m.model.step.nx].copy() for m in self.engines]
+
+    def landed_step(self, before: list[Array], t: float, h: float) -> JointSteps:
+        """What the step from t by h that all have landed is derived by."""
+        return self.joint_step(before, [self._outside(i, t, h, 0) for i in range(len(self.engines))], t, h, [])
+
+    def joint_step(self, before: list[Array], given: list[Array], t: float, h: float, states: list[Any]) -> JointSteps:
+        """What the step that was taken last, from t and the states `before`, is derived by; given: inputs from outside at its
+        nodes; states: all that members are at t, where they step in turn."""
+        parts = list[MemberSteps]()
+        z, instants = self.maps.unknowns(self.master.unknowns, self.joined, states, given, t)
         for m, x, u in zip(self.maps.members, before, given, strict=True):
             if m.member.instance.solves != 1:
                 raise in_parts(m.member.model, t, h)
             parts.append(m.stepped(z[m.part.col], u, x, t, h))
-        return steps, JointSteps(parts, z[None])
+        return JointSteps(parts, z[None], instants)
 
     def kept_steps(
         self, t0: float, h: float, n: int, first: int
@@ -319,9 +390,23 @@ def _filled(values: Array, names: Sequence[str], known: Mapping[str, float]) -> 
 
 
 def _require_engines(network: Network, members: Sequence[Member]) -> None:
-    """ValueError names units, which have no derivatives here."""
-    if units := [m.name for m in members if not isinstance(m, EngineMember)]:
-        raise ValueError(
-            f"{network.name}: {', '.join(units)}: units do not tell how their states follow their parameters and states, so that "
-            "there are no derivatives through them; take the declarations they were exported from as members"
-        )
+    """ValueError names units, which have no derivatives here: of each what its functions of FMI tell, and what they do not."""
+    units = [m.inner if isinstance(m, SteppedLast) else m for m in members if not isinstance(m, EngineMember)]
+    if not units:
+        return
+    why, own = dict[str, list[str]](), True
+    for m in units:
+        words = _NO_DERIVATIVES
+        if isinstance(m, FMUMember):
+            own &= not m.unit.estimated
+            words = (
+                _NO_DERIVATIVES if not m.unit.interface.derivatives else _OF_POINTS if m.unit.estimated else _OF_STEPS
+            )
+        why.setdefault(words, []).append(m.name)
+    told = "; ".join(f"{', '.join(names)}: {words}" for words, names in why.items())
+    remedy = (
+        "take the declarations they were exported from as members"
+        if own
+        else "declare them, or take differences of whole runs (phfmu sweep)"
+    )
+    raise ValueError(f"{network.name}: there are no derivatives of runs through units: {told}; {remedy}")

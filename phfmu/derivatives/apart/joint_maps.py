@@ -13,69 +13,95 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.derivatives.apart.member_maps import Linearised, MemberMaps, MemberSteps
+from phfmu.derivatives.apart.member_maps import Instants, Linearised, MemberMaps, MemberSteps
 from phfmu.network.couplings.compiled.master_pattern import Exchanged
+from phfmu.network.interface.joined import Joined
 from phfmu.schemes.impulses import POINTS
 
 Array = NDArray[np.float64]
 
 #: cos^2 of the angles of the rule for T
 COSINES = np.cos((2 * np.arange(1, POINTS + 1) - 1) * np.pi / (4 * POINTS)) ** 2
+#: steps that are linearised at a time, and numbers of their matrices, at most
+STEPS, ROOM = 256, 8_000_000
 
 
 @dataclass(frozen=True)
 class JointSteps:
-    """Steps of all members: `parts` of each, unknowns z of the interface (n x unknowns)."""
+    """Steps of all members: `parts` of each, unknowns z of the interface (n x unknowns), and where members step in turn the
+    `instants` at which each is asked for its outputs."""
 
     parts: list[MemberSteps]
     z: Array
+    instants: tuple[Instants, ...] = ()
 
     def some(self, which: slice) -> JointSteps:
         """Some of them."""
-        return JointSteps([p.some(which) for p in self.parts], self.z[which])
+        return JointSteps(
+            [p.some(which) for p in self.parts], self.z[which], tuple(i.some(which) for i in self.instants)
+        )
 
     @staticmethod
     def joined(steps: Sequence[JointSteps]) -> JointSteps:
         parts = [MemberSteps.joined(list(own)) for own in zip(*(s.parts for s in steps), strict=True)]
-        return JointSteps(parts, np.concatenate([s.z for s in steps]))
+        instants = (Instants.joined(list(own)) for own in zip(*(s.instants for s in steps), strict=True))
+        return JointSteps(parts, np.concatenate([s.z for s in steps]), tuple(instants))
 
 
 @dataclass(frozen=True)
 class JointSlopes:
     """Derivatives of steps: `members` by [x0 | names | unknowns that reach it] of each; `rows` of each (n x rows x the same),
-    which stand in the rows `at` of the interface; `matrix` (n x unknowns x unknowns) is dr/dz."""
+    which stand in the rows `at` of the interface; `matrix` (n x unknowns x unknowns) is dr/dz, with nothing above its diagonal
+    `blocks`."""
 
     members: list[Linearised]
     rows: list[Array]
     at: list[NDArray[np.intp]]
     matrix: Array
+    blocks: list[slice]
 
     def solved(self, i: int, right: Array, transposed: bool = False) -> Array:
         """-(dr/dz)^-1 right, or with the transposed matrix, of step i."""
-        A = self.matrix[i]
-        if not len(A):
-            return np.zeros_like(right)
-        scale = 1.0 / np.maximum(np.abs(A).max(axis=1), 1e-300)
-        scaled = A * scale[:, None]
-        if transposed:
-            found = np.linalg.solve(scaled.T, right)
-            found += np.linalg.solve(scaled.T, right - scaled.T @ found)
-            return -scale[:, None] * found
-        right = right * scale[:, None]
-        found = np.linalg.solve(scaled, right)
-        return -(found + np.linalg.solve(scaled, right - scaled @ found))
+        A = self.matrix[i].T if transposed else self.matrix[i]
+        found, done = np.zeros_like(right), np.zeros(len(A), bool)
+        for b in reversed(self.blocks) if transposed else self.blocks:
+            found[b] = -_solved(A[b, b], right[b] + A[b, done] @ found[done], transposed)
+            done[b] = True
+        return found
+
+
+def _solved(A: Array, right: Array, by_columns: bool) -> Array:
+    """A^-1 right with one step of refinement, the rows (columns) of A scaled."""
+    if not len(A):
+        return np.zeros_like(right)
+    scale = 1.0 / np.maximum(np.abs(A).max(axis=0 if by_columns else 1), 1e-300)
+    scaled = A * scale if by_columns else A * scale[:, None]
+    right = right if by_columns else right * scale[:, None]
+    found = np.linalg.solve(scaled, right)
+    found += np.linalg.solve(scaled, right - scaled @ found)
+    return scale[:, None] * found if by_columns else found
+
+
+def at_once(unknowns: int) -> int:
+    """How many steps with so many unknowns of the interface are linearised at a time."""
+    return min(STEPS, max(1, ROOM // max(unknowns, 1) ** 2))
 
 
 class JointMaps:
     """Members with the equations of the interface."""
 
+    #: whether members step one after the other, so that the states before a step are needed to look at it again
+    in_turn = False
+
     def __init__(self, exchanged: Exchanged, members: Sequence[MemberMaps]):
         self.exchanged, self.members = exchanged, list(members)
         e, N = exchanged, exchanged.size
+        self.at_once = at_once(N)
         self._C = np.zeros((N, N))
         np.add.at(self._C, (e.skew_row, e.skew_col), e.skew)
         self._start = slice(e.nodes, e.nodes + len(e.bare))
@@ -87,6 +113,12 @@ class JointMaps:
         self._means[e.column, np.arange(e.nodes)] = e.weights
         for side in (self._start, self._end):
             self._thrown[e.bare, np.arange(side.start, side.stop)] = 1.0
+
+    def unknowns(
+        self, z: Array, joined: Joined, before: list[Any], given: list[Array], t: float
+    ) -> tuple[Array, tuple[Instants, ...]]:
+        """The unknowns of the step from t that was taken last: what the master has left."""
+        return z.copy(), ()
 
     # -- signals at the ends of steps --------------------------------------------------------------------------------------
 
@@ -159,10 +191,10 @@ class JointMaps:
                 place = np.concatenate([place, np.arange(self._end.start, self._end.stop)])
             rows.append(mine)
             at.append(place)
-            first = m.nx + m.names
+            first = m.given
             for i in range(n):
                 matrix[i][np.ix_(place, m.part.col)] += mine[i, :, first:]
-        return JointSlopes(found, rows, at, matrix)
+        return JointSlopes(found, rows, at, matrix, [slice(0, matrix.shape[1])])
 
     def _pairs(self, steps: JointSteps) -> tuple[Array, Array, Array]:
         """sign T (n x bare x bare), sign (cos^2 S1 + sin^2 S0)^-1 / POINTS (n x POINTS x bare x bare), and the vectors that S0

@@ -26,6 +26,8 @@ from phfmu.schemes.impulses import POINTS
 
 Array = NDArray[np.float64]
 
+#: time and length, by start and length of a step: where it begins, and at its end
+OF_STEPS, OF_ENDS = np.eye(2), np.array([[1.0, 1.0], [0.0, 0.0]])
 #: of `Taken` what there is for each step
 ROWS = ("t", "h", "before", "after", "w", "u", "a_end")
 
@@ -54,10 +56,29 @@ class MemberSteps:
 
 
 @dataclass(frozen=True)
+class Instants:
+    """Instants within steps at which a member was asked for its outputs: times (n x instants), its states, inputs and algebraic
+    variables there (n x instants x ..)."""
+
+    t: Array
+    x: Array
+    u: Array
+    a: Array
+
+    def some(self, which: slice) -> Instants:
+        """Those of some steps."""
+        return Instants(self.t[which], self.x[which], self.u[which], self.a[which])
+
+    @staticmethod
+    def joined(steps: list[Instants]) -> Instants:
+        return Instants(*(np.concatenate([getattr(s, n) for s in steps]) for n in ("t", "x", "u", "a")))
+
+
+@dataclass(frozen=True)
 class Linearised:
-    """Per step the derivatives by [x0 | names | unknowns that reach it]: of x1, of what is told, of outputs at nodes and the end
-    (k nu + nu), and of S0 v before and S1 v after the step (vectors x kicks).  `passed`: derivatives of what is told by the
-    signals that are passed on at the end (told x signals)."""
+    """Per step the derivatives by [x0 | names | moves | unknowns that reach it]: of x1, of what is told, of outputs at nodes and
+    the end (k nu + nu), and of S0 v before and S1 v after the step (vectors x kicks).  `passed`: derivatives of what is told by
+    the signals that are passed on at the end (told x signals)."""
 
     x: Array
     told: Array
@@ -71,13 +92,17 @@ class MemberMaps:
     """A member whose steps have `part` in the interface, derived by names of its own.
 
     wired: inputs that signals are passed on to at the ends of steps, where they leave their polynomials
+    moves: there are derivatives by the start and the length of steps, too, which move where state events happen
     """
 
-    def __init__(self, member: EngineMember, part: Part, by: By, wired: Sequence[int] = ()):
+    def __init__(self, member: EngineMember, part: Part, by: By, wired: Sequence[int] = (), moves: bool = False):
         self.member, self.part, self.by, self.wired = member, part, by, list(wired)
         model, d = member.model, by.directions
         plan = model.step
         self.nx, self.names, self.reached = plan.nx, len(by.names), len(part.col)
+        #: columns of derivatives by start and length of a step, then by the unknowns of the interface
+        self.moves = slice(self.nx + self.names, self.nx + self.names + 2 * moves)
+        self.given = self.moves.stop
         self._feed = self._fed(plan.k)
         self._nodes = np.flatnonzero(self._feed.any(axis=1)).tolist()
         last = weights_at_end(model)
@@ -87,8 +112,8 @@ class MemberMaps:
         #: those of `wired`, as if they were on their polynomials
         self.polynomial = self._feed_end[self.wired]
         self._feed_end[self.wired] = 0.0
-        self._step = PlanFunction(plan, _told, d, nodes=self._nodes)
-        self._instant = PlanFunction(model.instant, told_of_instant, d, nodes=self._fed_end)
+        self._step = PlanFunction(plan, _told, d, moves, self._nodes)
+        self._instant = PlanFunction(model.instant, told_of_instant, d, moves, self._fed_end)
         self._U = np.zeros((plan.nx, plan.nw))
         np.add.at(self._U, (plan.update_x, plan.update_w), plan.update_c)
         self.of_step = places(OF_STEP, (plan.na, plan.nq, plan.nq, plan.ncomp))
@@ -144,14 +169,14 @@ class MemberMaps:
         names that still act, 0 of those that were set."""
         t, n, kicks = steps.taken, len(steps.taken.t), self.part.kicks
         p = np.broadcast_to(t.p, (n, len(t.p)))
-        C = self.nx + self.names + self.reached
+        C = self.given + self.reached
         x, works = t.before, np.zeros((n, kicks, C))
         X = np.zeros((n, self.nx, C))
         X[:, np.arange(self.nx), np.arange(self.nx)] = 1.0
         if kicks:
             x, X, works = self._kicked(x, X, p, steps.impulses[:, 0], self.kicks[0], acts)
         found = self._step.response(Point(np.column_stack([x, t.t]), t.w, t.u, p, t.h))
-        W, told = (self._along(f, X, self._feed[self._nodes], acts) for f in (found.w, found.told))
+        W, told = (self._along(f, X, self._feed[self._nodes], acts, OF_STEPS) for f in (found.w, found.told))
         X = X + self._U @ W
         if kicks:
             star = x + t.w @ self._U.T
@@ -172,12 +197,36 @@ class MemberMaps:
         passed = np.concatenate([np.zeros((n, stop, len(self.wired))), by_signals], axis=1)
         return Linearised(X, np.concatenate([told, ends], axis=1), outputs, before, after, passed)
 
-    def _along(self, found: Array, X: Array, feed: Array, acts: Array) -> Array:
-        """By [x0 | names | unknowns] of what has derivatives by states, directions and fed inputs."""
-        nx, d = self.nx, self.by.directions.n
+    def presented(self, at: Instants, p: Array, acts: Array) -> Array:
+        """Derivatives (n x instants x nu x columns) of the outputs at instants by [states there | names | unknowns there]."""
+        n, count = at.t.shape
+        x, u, a = (v.reshape(n * count, -1) for v in (at.x, at.u, at.a))
+        found = self._instant.at_instants(at.t.ravel(), x, u, p, a)
+        first = self.of_instant["y_end"].start - self.of_step["dissipated"].stop
+        found = found[:, first : first + self.part.nu]
+        C = self.given + self.reached
+        along = self._along(found, np.eye(self.nx, C)[None], self._feed_end[self._fed_end], acts, OF_ENDS)
+        return along.reshape(n, count, self.part.nu, C)
+
+    def at_instant(self, at: Instants, p: Array, acts: Array, S: Array, moved: Array, u: Array) -> tuple[Array, Array]:
+        """Tangents of what is told at one instant: what follows from those of the states (nx x all), of the time (all) and of the
+        inputs (nu x all), and what follows from the names of the member."""
+        found = self._instant.at_instants(at.t[0], at.x[0], at.u[0], p, at.a[0])[0]
+        first = self.nx + self.by.directions.n
+        own = found[:, : self.nx] @ S
+        own += found[:, first : first + len(self._fed_end)] @ u[self._fed_end]
+        own += np.outer(found[:, first + len(self._fed_end)], moved)
+        return own, self.by.spread(found[:, self.nx : first]) * acts
+
+    def _along(self, found: Array, X: Array, feed: Array, acts: Array, moved: Array) -> Array:
+        """By [x0 | names | moves | unknowns] of what has derivatives by states, directions, fed inputs, and where steps move by
+        time and length, which these have `moved` (2 x 2)."""
+        nx, first = self.nx, self.nx + self.by.directions.n
         out = found[:, :, :nx] @ X
-        out[:, :, nx : nx + self.names] += self.by.spread(found[:, :, nx : nx + d]) * acts
-        out[:, :, nx + self.names :] += found[:, :, nx + d :] @ feed
+        out[:, :, nx : nx + self.names] += self.by.spread(found[:, :, nx:first]) * acts
+        out[:, :, self.given :] += found[:, :, first : first + len(feed)] @ feed
+        if self.given > self.moves.start:
+            out[:, :, self.moves] += found[:, :, first + len(feed) :] @ moved
         return out
 
     def _kicked(self, x: Array, X: Array, p: Array, s: Array, to: Array, acts: Array) -> tuple[Array, Array, Array]:
@@ -185,7 +234,7 @@ class MemberMaps:
         f, states = self.slopes, self.slopes.states
         moved, by = f.kick(x, p, s)
         along = self._by_parameters(by[:, :, : -f.n], X, acts)
-        along[:, :, self.nx + self.names :] += by[:, :, -f.n :] @ to
+        along[:, :, self.given :] += by[:, :, -f.n :] @ to
         x, X = x.copy(), X.copy()
         x[:, states] += moved
         X[:, states] += along[:, : len(states)]
@@ -219,7 +268,7 @@ class MemberMaps:
         found = self._instant.at_instants(t.t + t.h, t.after, steps.ends, p, t.a_end)
         first = self.nx + self.by.directions.n
         signals = found[:, :, [first + self._fed_end.index(i) for i in self.wired]]
-        return self._along(found, X, self._feed_end[self._fed_end], acts), signals
+        return self._along(found, X, self._feed_end[self._fed_end], acts, OF_ENDS), signals
 
 
 def _told(rows: Rows) -> ca.SX:

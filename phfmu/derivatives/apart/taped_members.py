@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.derivatives.apart.derived_members import AT_ONCE, DerivedMembers
+from phfmu.derivatives.apart.derived_members import DerivedMembers
+from phfmu.derivatives.apart.in_turn_maps import InTurnMaps
 from phfmu.derivatives.apart.joint_maps import JointMaps, JointSteps
 from phfmu.derivatives.apart.member_maps import MemberMaps
 from phfmu.network.couplings.coupled import Coupled
@@ -33,7 +34,7 @@ class _Stretch:
     maps: of the members under the scheme that took them
     """
 
-    maps: JointMaps
+    maps: JointMaps | InTurnMaps
     steps: JointSteps
     first: int
     acts: Array
@@ -113,8 +114,8 @@ class TapedMembers(DerivedMembers):
         found = np.zeros((width, total))
         for s in reversed(self._stretches):
             n = len(s.steps.z)
-            for start in reversed(range(0, n, AT_ONCE)):
-                some = slice(start, min(start + AT_ONCE, n))
+            for start in reversed(range(0, n, s.maps.at_once)):
+                some = slice(start, min(start + s.maps.at_once, n))
                 part = replace(s, steps=s.steps.some(some), first=s.first + start)
                 self._over(part, bars, xi, found)
         S, slopes = self._start
@@ -140,10 +141,10 @@ class TapedMembers(DerivedMembers):
             back = list[Array]()
             for m, own, D, b, bar in zip(maps, slopes.members, told, bars[:-1], xi, strict=True):
                 back.append(D[i] + own.x[i].T @ (bar + b.x[first + i]))
-                z[i][m.part.col] += back[-1][m.nx + m.names :]
+                z[i][m.part.col] += back[-1][m.given :]
             mu = slopes.solved(i, z[i], transposed=True)
             for j, m in enumerate(maps):
-                stop = m.nx + m.names
+                stop = m.given
                 bar = back[j][:stop] + slopes.rows[j][i][:, :stop].T @ mu[slopes.at[j]]
                 xi[j][:] = bar[: m.nx]
                 found[self.at[j]] += bar[m.nx :]

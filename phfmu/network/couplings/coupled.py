@@ -80,8 +80,7 @@ class Coupled:
         self._growth = None if closes else Growth(self.joined)
         face, inner = self.joined.face, plain(self.coupling)
         self.last = Solution(face.start.copy())
-        steps = AllSteps(self._all_step, lambda: (self.joined.states(), self.last), self._all_back)
-        self._exchange, self._lander, self._switching = landings(self.joined, inner, steps, self._join)
+        self._land_anew()
         #: the compiled steps, by the rows that relations have in the modes of switches
         self._masters: dict[bytes, Master] = {}
         self._mode = b""
@@ -102,6 +101,12 @@ class Coupled:
         own = [*self.joined.names, *face.names, *self._sums.names]
         self._columns = WholeColumns(network, [m.name for m in members], own)
         self.names = self._columns.names
+
+    def _land_anew(self) -> None:
+        """What lands all members together, which knows of no event yet."""
+        steps = AllSteps(self._all_step, lambda: (self.joined.states(), self.last), self._all_back)
+        found = landings(self.joined, plain(self.coupling), steps, self._join)
+        self._exchange, self._lander, self._switching = found
 
     def _all_step(self, t: float, h: float) -> bool:
         """Whether it went in one part."""

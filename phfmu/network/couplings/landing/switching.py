@@ -108,6 +108,10 @@ class Switching:
         self._whole: Any = stepped(model, NativeInstance)
         self._composed = Monolithic(model, self._whole)
         self._words = Happenings(model)
+        #: numbers of the events that happened last and of those that came to rest
+        self.last: tuple[list[int], list[int]] = [], []
+        #: names of the members that begin anew with them, whose means are those of the instant: all
+        self.anew = {m.name for m in joined.members}
         #: how many guards there are
         self.guards = 0 if model.events is None else model.events.n
         if model.modes is None:
@@ -130,6 +134,11 @@ class Switching:
     def modes(self) -> tuple[int, ...]:
         """Modes of the switches of all members."""
         return () if self._whole.model.modes is None else self._whole.mode
+
+    @property
+    def algebraics(self) -> Array:
+        """Algebraic variables of the composed declaration at the present time."""
+        return self._whole.signal("a_end")
 
     @property
     def unsettled(self) -> bool:
@@ -221,6 +230,7 @@ class Switching:
                 self.tell()
                 yield start, taken, None
             else:
+                self.last = [*happened.events], [*happened.rests]
                 self._follow()
                 yield start, 0.0, self._words.told(happened)
 

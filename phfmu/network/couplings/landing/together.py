@@ -41,6 +41,8 @@ class Together:
     """
 
     CARRIED = ("location",)
+    #: algebraic variables of the composed declaration, which members that land like this are not asked for
+    algebraics = None
 
     def __init__(
         self,
@@ -60,6 +62,10 @@ class Together:
         plans = [m.model.events for m in members]
         self._plan = _Stacked(members, [p for p in plans if p is not None])
         k = max(m.model.step.k for m in members)
+        #: numbers of the events that happened last and of those that came to rest, among the guards of all members
+        self.last: tuple[list[int], list[int]] = [], []
+        #: names of the members that began anew with them, whose means are those of the instant
+        self.anew: set[str] = set()
         self.model = SimpleNamespace(step=SimpleNamespace(k=k, na=0))
         self.location: Any = Location(self, self._plan, self._plan)  # type: ignore[arg-type]
 
@@ -137,6 +143,8 @@ class Together:
         own = dict(self._plan.of(fired))
         decided = {i: self._landings[i].decided(t, h, numbers, events) for i, numbers in own.items()}
         struck, (energy, lost) = self._struck(t, own, decided)
+        self.anew |= {self.members[i].name for i in own}
+        self.last = fired, self._plan.numbers({i: rests for i, (_, rests) in decided.items()})
         told = list[StepEvent]()
         for i, (p, rests) in decided.items():
             landing, of = self._landings[i], self._joined.components(self.members[i].name)
@@ -155,9 +163,11 @@ class Together:
         start = [
             numbers[i] for i, e in own.items() if not self._shared.of.get(self.members[i].name, _NONE).isdisjoint(e)
         ]
+        self.anew = set()
         if not start:
             return set(), np.zeros((2, len(self._joined.booking.components)))
         reached, _ = self._shared.reached(start)
+        self.anew = {self._joined.members[i].name for i in reached}
         struck = {i for i in own if numbers[i] in reached}
         fired = {numbers[i]: Fired(self._landings[i].plan, own[i], *decided[i]) for i in struck}
         return struck, self._shared.jump(t, fired)
@@ -195,6 +205,10 @@ class _Stacked:
         for i, (a, b) in enumerate(zip(self._first[:-1], self._first[1:], strict=True)):
             if own := [int(j - a) for j in fired if a <= j < b]:
                 yield i, own
+
+    def numbers(self, own: dict[int, list[int]]) -> list[int]:
+        """The numbers of guards among all, from those of each member."""
+        return [int(self._first[i]) + j for i, which in own.items() for j in which]
 
     def values(self, x: Array, y: Array, p: Array) -> Array:
         """All guards (n)."""
