@@ -187,7 +187,7 @@ typedef struct ph_work {
     ph_mode *kept_soft;
     ph_real *kept_compliance;
 #endif
-    ph_lane ahead[PH_LANES];
+    ph_lane ahead[PH_LANES], onward[PH_K]; /* of velocities, of lambda */
     ph_lane column[PH_K]; /* h A with h b below it, by columns */
     ph_lane multiply[PH_LANES];
 } ph_work;
