@@ -144,7 +144,8 @@ typedef struct ph_mode {
 } ph_mode;
 
 /* Work space of one instance. Arrays over degrees of freedom have one more entry, which stays zero where it
- * is read: coordinates that are no differences subtract it. */
+ * is read: coordinates that are no differences subtract it. Nothing is added to it, as each addition would wait
+ * for the one before. */
 typedef struct ph_work {
     const ph_schur *c;
     int ready;             /* masses and loads belong to parameters */
