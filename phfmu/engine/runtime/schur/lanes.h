@@ -144,7 +144,8 @@ typedef struct ph_mode {
 } ph_mode;
 
 /* Work space of one instance. Arrays over degrees of freedom have one more entry, which stays zero where it
- * is read: coordinates that are no differences subtract it. */
+ * is read: coordinates that are no differences subtract it. Nothing is added to it, as each addition would
+ * wait for the one before. */
 typedef struct ph_work {
     const ph_schur *c;
     int ready;             /* masses and loads belong to parameters */
@@ -187,8 +188,8 @@ typedef struct ph_work {
     ph_mode *kept_soft;
     ph_real *kept_compliance;
 #endif
-    ph_lane ahead[PH_LANES];
-    ph_lane column[PH_K]; /* h A with h b below it, by columns */
+    ph_lane ahead[PH_LANES], onward[PH_K]; /* of velocities, of lambda */
+    ph_lane column[PH_K];                  /* h A with h b below it, by columns */
     ph_lane multiply[PH_LANES];
 } ph_work;
 
