@@ -47,8 +47,9 @@ def _newton(
     """Newton's method from v; `motion`: a matrix D and the values v0 before, for F + D (v - v0) = 0."""
     group = np.unique(system.named, return_inverse=True)[1]
     start, pinned, begun, before = v, None, np.abs(system.start), np.inf
+    evaluated = system.evaluate(v)
     for iteration in range(1, most + 1):
-        F, J = system.evaluate(v)
+        F, J = evaluated
         if pinned is None:
             pinned = _pinned(system, J, group)
         if motion is not None:
@@ -63,14 +64,16 @@ def _newton(
         size = np.zeros(group.max() + 1)
         np.maximum.at(size, group, np.maximum(np.abs(v), begun))
         moved = float((np.abs(update) / np.maximum(size[group], 1e-300)).max())
-        if moved <= REST or before <= moved <= FLOOR or (motion is None and _at_rounding(system, v)):
+        if moved <= REST or before <= moved <= FLOOR:
+            return v, iteration
+        evaluated = system.evaluate(v)
+        if motion is None and _at_rounding(system, v, *evaluated):
             return v, iteration
         before = moved
     raise _failed(system, f"Newton's method did not converge in {most} iterations", v, F, J)
 
 
-def _at_rounding(system: System, v: Array) -> bool:
-    F, J = system.evaluate(v)
+def _at_rounding(system: System, v: Array, F: Array, J: Sparse) -> bool:
     return bool((np.abs(F) <= ROUNDING * (abs(J) @ np.abs(v) + np.abs(system.offset)) + 1e-300).all())
 
 
