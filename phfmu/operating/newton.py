@@ -141,10 +141,10 @@ def _pinned(system: System, J: Sparse, group: Any) -> Sparse:
     by_column, pins = N.tocsc(), Triplets()
     for name, e in system.kind_of.items():
         n, at, first = e.size.x + e.size.a, system.state_at[name], system.row_of[name]
-        unseen = _null(by_column[:, at : at + n])
+        unseen = _null(by_column, at, n)
         if not unseen.shape[1]:
             continue
-        empty = _null(N[first : first + n].T)
+        empty = _null(N, first, n)
         if empty.shape[1] != unseen.shape[1]:
             raise NoOperatingPoint(
                 f"{name}: {unseen.shape[1]} directions of its variables are not determined, and {empty.shape[1]} sums of its "
@@ -193,10 +193,12 @@ def _largest(M: Sparse, axis: int) -> Array:
     return abs(M).max(axis=axis).toarray().ravel()
 
 
-def _null(strip: Sparse) -> Array:
-    """Orthonormal directions of the columns of a sparse strip that its rows do not see."""
-    strip = strip.tocsr()
-    used = np.flatnonzero(np.diff(strip.indptr))
-    _, s, V = np.linalg.svd(strip[used].toarray())
+def _null(matrix: Sparse, first: int, n: int) -> Array:
+    """Orthonormal combinations of n columns (of a CSC matrix; rows of a CSR one) from `first` on that are zero."""
+    ptr = matrix.indptr[first : first + n + 1]
+    used, row = np.unique(matrix.indices[ptr[0] : ptr[-1]], return_inverse=True)
+    strip = np.zeros((len(used), n))
+    strip[row, np.repeat(np.arange(n), np.diff(ptr))] = matrix.data[ptr[0] : ptr[-1]]
+    _, s, V = np.linalg.svd(strip)
     s = np.concatenate([s, np.zeros(V.shape[0] - len(s))])
     return V.T[:, s < 1e-12 * max(float(s.max(initial=0.0)), 1e-300)]
