@@ -106,7 +106,7 @@ def canonical(exprs: Sequence[ca.SX], locator: Locator, context: str, extra: Seq
 
     `extra` symbols (scalars) are listed first even if they do not occur.  Expressions of one form share the pool.
     """
-    exprs = [ca.SX(e) for e in exprs]
+    exprs = [e if isinstance(e, ca.SX) else ca.SX(e) for e in exprs]
     found = read(exprs, locator, context, extra)
     known = locator.known.get(found.form)
     if known is None:
