@@ -163,8 +163,8 @@ class _Entries:
         )
 
 
-def _slots(groups: Sequence[Group], stage: int) -> tuple[NDArray[np.int64], ...]:
-    """Target, Y column, slot and power of every Jacobian entry of one stage."""
+def derivative_slots(groups: Sequence[Group], stage: int) -> tuple[NDArray[np.int64], ...]:
+    """Target, Y column, slot in V and power of h of every Jacobian entry of one stage."""
     out: list[tuple[NDArray, ...]] = [(np.zeros(0, np.int64),) * 4]
     for g in groups:
         if g.stage == stage and g.kernel.nj:
@@ -178,10 +178,10 @@ def _slots(groups: Sequence[Group], stage: int) -> tuple[NDArray[np.int64], ...]
 
 def _derivatives(layout: Layout, groups: Sequence[Group], const: NDArray, value: NDArray) -> _Entries:
     nv = layout.nv
-    z_row, z_col, z_slot, _ = _slots(groups, 0)
+    z_row, z_col, z_slot, _ = derivative_slots(groups, 0)
     by_z = np.argsort(z_row, kind="stable")
     z_ptr = np.searchsorted(z_row[by_z], np.arange(layout.nz + 1))
-    row, col, slot, power = _slots(groups, 1)
+    row, col, slot, power = derivative_slots(groups, 1)
     c_row, c_src, c_pow = const[:, 0], const[:, 1], const[:, 2]
     rows = np.concatenate([c_row, row])
     cols = np.concatenate([c_src, col])
