@@ -94,7 +94,7 @@ class _Reading:
 
 def _stacked(parts: list[ca.SX]) -> ca.SX:
     """The nonzeros of all parts as one column, joined by hundreds: all at once take time quadratic in their number."""
-    columns = [ca.vec(p.nz[:]) for p in parts]  # nonzeros of a row are a row
-    while len(columns) > 1:
-        columns = [ca.vertcat(*columns[i : i + 100]) for i in range(0, len(columns), 100)]
-    return columns[0]
+    parts = [p if p.is_dense() else p.nz[:] for p in parts]
+    while len(parts) > 1:
+        parts = [ca.veccat(*parts[i : i + 100]) for i in range(0, len(parts), 100)]
+    return ca.vec(parts[0])

@@ -49,7 +49,7 @@ def instructions(f: ca.Function) -> Iterator[Instruction]:
 
 def function_of(expr: ca.SX, x: ca.SX) -> tuple[ca.Function, ca.SX]:
     """`expr` as a function of x and of its other symbols, and these."""
-    own = {x[j].element_hash() for j in range(x.numel())}
+    own = {s.element_hash() for s in ca.vertsplit(x)}
     rest = ca.vertcat(ca.SX(0, 1), *(s for s in ca.symvar(expr) if s.element_hash() not in own))
     return ca.Function("f", [x, rest], [expr]), rest
 
@@ -119,7 +119,7 @@ def degree(expr: ca.SX, x: ca.SX, most: int = 8) -> int | None:
 
     By its operations, so that what is a polynomial in pieces is none.
     """
-    f, _ = function_of(expr, x)
+    f = ca.Function("f", [x], [expr], {"allow_free": True})  # other symbols are of degree 0
     of: list[float] = [0.0] * f.sz_w()
     constant, result = [0.0] * f.sz_w(), 0.0
     for n in instructions(f):

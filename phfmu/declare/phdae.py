@@ -17,7 +17,7 @@ from typing import Any, Protocol
 import casadi as ca
 
 from phfmu.declare.block import Block
-from phfmu.declare.energy import ClosedPair, Energy, resolve_kind
+from phfmu.declare.energy import ClosedPair, Energy, EnergyKind, resolve_kind
 from phfmu.declare.error import DeclarationError, Problem
 from phfmu.declare.event import StateEvent, renamed
 from phfmu.declare.holonomic import Holonomic
@@ -76,8 +76,9 @@ class PHDAE:
             object.__setattr__(self, field_, _listed(self.name, field_, getattr(self, field_), kind, maker, found))
         if found:
             raise DeclarationError.of(found)
-        known = {s.element_hash() for v in self.states for s in ca.vertsplit(v.sx)}
-        object.__setattr__(self, "energies", tuple(resolve_kind(e, known) for e in self.energies))
+        if any(e.kind is EnergyKind.GENERAL for e in self.energies):
+            known = {s.element_hash() for v in self.states for s in ca.vertsplit(v.sx)}
+            object.__setattr__(self, "energies", tuple(resolve_kind(e, known) for e in self.energies))
         constraints = tuple(c.with_drive() for c in self.constraints)
         there = {p.u[0].element_hash() for p in self.ports}
         drives = {c.drive.u[0].element_hash(): c.drive for c in constraints if c.drive is not None}

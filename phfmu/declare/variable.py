@@ -31,6 +31,8 @@ class Value(Enum):
     INCREMENT = "d"  # of a state over a step: closed-form pairs are given with it
     INVARIANT = "c"  # C of a strain energy phi(C)
 
+    __hash__ = object.__hash__  # its members are keys of many tables
+
 
 class VariableKind(StrEnum):
     """By its part in E(x) x' = (J - R) z + B u: in x1, in x2, or held constant."""

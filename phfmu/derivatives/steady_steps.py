@@ -7,7 +7,8 @@ their own, which one step turns by w h and leaves as it is,
 
 q being the unknowns of the step, x + U q its end, X the turn with the generator S x + c.  The inputs and parameters are those of
 the point.  w is an unknown where no source sets it: with torques and field voltages given, the steps have a frequency of their
-own; then the last equation says which of all turned states is meant.  One sparse Newton iteration from the operating point x0.
+own; then the last equation says which of all turned states is meant.  One sparse Newton iteration from the operating point x0,
+with F and its derivatives from the kernels and tables of the plan.
 """
 
 from __future__ import annotations
@@ -20,9 +21,10 @@ from numpy.typing import NDArray
 from scipy.sparse import block_diag, bmat, coo_array, csc_array, eye_array
 
 from phfmu.declare.variable import time
-from phfmu.derivatives.plan_function import Rows
 from phfmu.derivatives.tangents import require_derived
 from phfmu.discretise.model import Model, build_model
+from phfmu.engine.reference.chain import Tangents
+from phfmu.engine.reference.evaluate import Evaluator
 from phfmu.operating.newton import solution
 from phfmu.operating.point import NetworkPoint
 from phfmu.operating.system import NoOperatingPoint
@@ -58,10 +60,8 @@ class _Steady:
         self.size = np.maximum(np.abs(model.x0), np.where(nominal == 0, 1.0, nominal))
         self.free = not any(p.source is not None and ca.depends_on(ca.SX(p.source), time) for p in d.ports)
         self._U = coo_array((plan.update_c, (plan.update_x, plan.update_w)), shape=(plan.nx, plan.nw)).tocsc()
-        rows = Rows(plan)
-        F = rows.residual
-        arguments = [rows.x, rows.w, rows.u, rows.p, rows.h]
-        self._F = ca.Function("F", arguments, [F, ca.jacobian(F, rows.w), ca.jacobian(F, rows.x[: plan.nx])])
+        self._evaluator = Evaluator(plan)
+        self._tangents = Tangents(self._evaluator)
         at = {n: i for i, n in enumerate(self.names)}
         self._members = [
             (point._equations[name], [at[of_member(name, n)] for v in member.states for n in v.names()])
@@ -87,9 +87,10 @@ class _Steady:
 
     def _at(self, x: Array, q: Array, u: Array, p: Array) -> tuple[Array, csc_array, csc_array]:
         """F and its derivatives by the unknowns and the states, of the step from t = 0."""
-        F, *by = self._F(np.append(x, 0.0), q, u, p, self.h)
-        F_q, F_x = (csc_array(m.sparse()) for m in by)
-        return np.array(F.full()).ravel(), F_q, F_x
+        plan, e, start = self.model.step, self._evaluator, np.append(x, 0.0)
+        F = e.residual(start, np.concatenate([q, u, [self.h]]), p, self.h)[: plan.nw].copy()
+        F_q = csc_array((e.matrix(self.h), plan.matrix.row, plan.colptr), shape=(plan.nw, plan.nw))
+        return F, F_q, self._tangents.by_states(start, p, self.h)
 
     def _step(self, x: Array, u: Array, p: Array) -> Array:
         """Unknowns of the step from x, by Newton's method from a rest with the algebraic variables of the start."""

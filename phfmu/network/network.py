@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
+from operator import is_
 from os import PathLike
 from typing import TYPE_CHECKING, Any
 
@@ -66,7 +68,7 @@ class Network:
         """
         if name in self.members:
             raise ConnectionError(self.name, f"there is a member '{name}' already", "give the new one another name")
-        if any(member is m for m in self.members.values()):
+        if any(map(partial(is_, member), self.members.values())):
             raise ConnectionError(self.name, f"'{name}' is the same object as another member", "build a second one")
         self._check_name("member", name)
         if isinstance(member, str | PathLike):

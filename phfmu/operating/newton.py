@@ -47,8 +47,9 @@ def _newton(
     """Newton's method from v; `motion`: a matrix D and the values v0 before, for F + D (v - v0) = 0."""
     group = np.unique(system.named, return_inverse=True)[1]
     start, pinned, begun, before = v, None, np.abs(system.start), np.inf
+    evaluated = system.evaluate(v)
     for iteration in range(1, most + 1):
-        F, J = system.evaluate(v)
+        F, J = evaluated
         if pinned is None:
             pinned = _pinned(system, J, group)
         if motion is not None:
@@ -63,14 +64,16 @@ def _newton(
         size = np.zeros(group.max() + 1)
         np.maximum.at(size, group, np.maximum(np.abs(v), begun))
         moved = float((np.abs(update) / np.maximum(size[group], 1e-300)).max())
-        if moved <= REST or before <= moved <= FLOOR or (motion is None and _at_rounding(system, v)):
+        if moved <= REST or before <= moved <= FLOOR:
+            return v, iteration
+        evaluated = system.evaluate(v)
+        if motion is None and _at_rounding(system, v, *evaluated):
             return v, iteration
         before = moved
     raise _failed(system, f"Newton's method did not converge in {most} iterations", v, F, J)
 
 
-def _at_rounding(system: System, v: Array) -> bool:
-    F, J = system.evaluate(v)
+def _at_rounding(system: System, v: Array, F: Array, J: Sparse) -> bool:
     return bool((np.abs(F) <= ROUNDING * (abs(J) @ np.abs(v) + np.abs(system.offset)) + 1e-300).all())
 
 
@@ -138,10 +141,10 @@ def _pinned(system: System, J: Sparse, group: Any) -> Sparse:
     by_column, pins = N.tocsc(), Triplets()
     for name, e in system.kind_of.items():
         n, at, first = e.size.x + e.size.a, system.state_at[name], system.row_of[name]
-        unseen = _null(by_column[:, at : at + n])
+        unseen = _null(by_column, at, n)
         if not unseen.shape[1]:
             continue
-        empty = _null(N[first : first + n].T)
+        empty = _null(N, first, n)
         if empty.shape[1] != unseen.shape[1]:
             raise NoOperatingPoint(
                 f"{name}: {unseen.shape[1]} directions of its variables are not determined, and {empty.shape[1]} sums of its "
@@ -190,10 +193,12 @@ def _largest(M: Sparse, axis: int) -> Array:
     return abs(M).max(axis=axis).toarray().ravel()
 
 
-def _null(strip: Sparse) -> Array:
-    """Orthonormal directions of the columns of a sparse strip that its rows do not see."""
-    strip = strip.tocsr()
-    used = np.flatnonzero(np.diff(strip.indptr))
-    _, s, V = np.linalg.svd(strip[used].toarray())
+def _null(matrix: Sparse, first: int, n: int) -> Array:
+    """Orthonormal combinations of n columns (of a CSC matrix; rows of a CSR one) from `first` on that are zero."""
+    ptr = matrix.indptr[first : first + n + 1]
+    used, row = np.unique(matrix.indices[ptr[0] : ptr[-1]], return_inverse=True)
+    strip = np.zeros((len(used), n))
+    strip[row, np.repeat(np.arange(n), np.diff(ptr))] = matrix.data[ptr[0] : ptr[-1]]
+    _, s, V = np.linalg.svd(strip)
     s = np.concatenate([s, np.zeros(V.shape[0] - len(s))])
     return V.T[:, s < 1e-12 * max(float(s.max(initial=0.0)), 1e-300)]

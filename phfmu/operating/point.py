@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from math import atan2, pi
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.network.junction import End
 from phfmu.network.network import Network
 from phfmu.operating.reactive_limits import Switching
 from phfmu.operating.rotation import BALANCED, TURN, Equations, three_phase
@@ -69,16 +69,22 @@ class NetworkPoint:
 
     def junction_of(self, port: str) -> str:
         """The junction that a port `member.name` is at."""
-        end = End(*port.split(".", 1))
-        return next(j.name for j in self.network.junctions if end in j.ends)
+        return self._junctions[port]
+
+    @cached_property
+    def _junctions(self) -> dict[str, str]:
+        return {str(end): j.name for j in self.network.junctions for end in j.ends}
 
     def started(self) -> Network:
         """The network with the point as its start."""
-        values = self.states | self.algebraics | self.inputs | self.parameters
         members: dict[str, Any] = dict(self.network.members)
+        own: dict[str, dict[str, float]] = {name: {} for name in self.network.declared}
+        for n, v in (self.states | self.algebraics | self.inputs | self.parameters).items():
+            member, _, rest = n.partition(".")
+            if member in own:
+                own[member][rest] = v
         for name, model in self.network.declared.items():
-            own = {n.removeprefix(f"{name}."): v for n, v in values.items() if n.startswith(f"{name}.")}
-            members[name] = model.with_starts(own)
+            members[name] = model.with_starts(own[name])
         return replace(self.network, members=members)
 
     def turned_back(self, states: Mapping[str, float], t: float) -> dict[str, float]:

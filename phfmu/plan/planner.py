@@ -12,7 +12,7 @@ from phfmu.declare.error import DeclarationError
 from phfmu.declare.variable import Value
 from phfmu.plan.layout import Layout
 from phfmu.plan.ordering import StructurallySingular, elimination_order
-from phfmu.plan.plan import Group, Holds, Ints, Kernel, Plan, Products
+from phfmu.plan.plan import Group, Holds, Ints, Kernel, Plan, Powers, Products
 from phfmu.plan.spec import Spec, build
 from phfmu.terms.term import Term
 
@@ -63,7 +63,7 @@ def make_plan(
     terms = layout.terms
     groups = _groups(layout, work)
     nslot = 1 + sum(g.n * g.kernel.nj for g in groups)
-    const = np.array([(r, s, q) for r, s, _, q in constants], np.int64).reshape(-1, 3)
+    const = np.array([(r, s, q) for r, s, _, q in constants], np.int32).reshape(-1, 3)
     value = np.array([v for _, _, v, _ in constants], float)
     entries = _derivatives(layout, groups, const, value)
     matrix, derivative = _split(layout, entries, len(terms.pairs), maps.weights)
@@ -149,12 +149,12 @@ def _groups(layout: Layout, work: Sequence[tuple[Term, list[Spec]]]) -> list[Gro
 class _Entries:
     """dR/dv entries: row, col, slots s and t, value, power of h (parallel arrays)."""
 
-    row: NDArray[np.int64]
-    col: NDArray[np.int64]
-    s: NDArray[np.int64]
-    t: NDArray[np.int64]
+    row: Ints
+    col: Ints
+    s: Ints
+    t: Ints
     value: NDArray[np.float64]
-    power: NDArray[np.int64]
+    power: Powers
 
     @staticmethod
     def joined(parts: Sequence[_Entries]) -> _Entries:
@@ -163,26 +163,27 @@ class _Entries:
         )
 
 
-def _slots(groups: Sequence[Group], stage: int) -> tuple[NDArray[np.int64], ...]:
-    """Target, Y column, slot and power of every Jacobian entry of one stage."""
-    out: list[tuple[NDArray, ...]] = [(np.zeros(0, np.int64),) * 4]
+def derivative_slots(groups: Sequence[Group], stage: int) -> tuple[Ints, Ints, Ints, Powers]:
+    """Target, Y column, slot in V and power of h of every Jacobian entry of one stage."""
+    out: list[tuple[NDArray, ...]] = [(np.zeros(0, np.int32),) * 3 + (np.zeros(0, np.int8),)]
     for g in groups:
         if g.stage == stage and g.kernel.nj:
             target = g.oi[:, g.kernel.jac_row].ravel()
             column = g.yi[:, g.kernel.jac_col].ravel()
-            slot = g.slot + np.arange(g.n * g.kernel.nj)
+            slot = np.arange(g.slot, g.slot + g.n * g.kernel.nj, dtype=np.int32)
             power = np.tile(g.power[g.kernel.jac_row], g.n)
             out.append((target, column, slot, power))
-    return tuple(np.concatenate([p[i] for p in out]).astype(np.int64) for i in range(4))
+    target, column, slot, power = (np.concatenate(parts) for parts in zip(*out, strict=True))
+    return target, column, slot, power
 
 
 def _derivatives(layout: Layout, groups: Sequence[Group], const: NDArray, value: NDArray) -> _Entries:
     nv = layout.nv
-    z_row, z_col, z_slot, _ = _slots(groups, 0)
+    z_row, z_col, z_slot, _ = derivative_slots(groups, 0)
     by_z = np.argsort(z_row, kind="stable")
     z_ptr = np.searchsorted(z_row[by_z], np.arange(layout.nz + 1))
-    row, col, slot, power = _slots(groups, 1)
-    c_row, c_src, c_pow = const[:, 0], const[:, 1], const[:, 2]
+    row, col, slot, power = derivative_slots(groups, 1)
+    c_row, c_src, c_pow = const[:, 0], const[:, 1], const[:, 2].astype(np.int8)
     rows = np.concatenate([c_row, row])
     cols = np.concatenate([c_src, col])
     slots = np.concatenate([np.zeros_like(c_row), slot])
@@ -190,7 +191,7 @@ def _derivatives(layout: Layout, groups: Sequence[Group], const: NDArray, value:
     values = np.concatenate([value, np.ones(len(row))])
     direct = cols < nv
     d = _Entries(
-        rows[direct], cols[direct], slots[direct], np.zeros(direct.sum(), np.int64), values[direct], powers[direct]
+        rows[direct], cols[direct], slots[direct], np.zeros(direct.sum(), np.int32), values[direct], powers[direct]
     )
     via = np.flatnonzero(~direct)
     z = cols[via] - nv

@@ -9,7 +9,7 @@ The row of such a node, c(x) = -L(x)^T z = 0, contains no algebraic variable (in
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cached_property, partial
@@ -85,7 +85,7 @@ class Finder:
         model = terms.model
         self.x, self.z = model.x, costate_symbols(model)
         self.expr = self._without_zeros(row_expressions(terms, rows, self.z))
-        self.L = {r: -ca.jacobian(self.expr[r], self.z) for r in rows}
+        self.L = {r: -self._by_costates(self.expr[r]) for r in rows}
         self.place = {r: i for i, r in enumerate(rows)}
         L = ca.vertcat(*self.L.values())
         self.S = ca.mtimes([L, ca.hessian(model.hamiltonian, self.x)[0], L.T])
@@ -100,6 +100,15 @@ class Finder:
             found = remedy(linear.issuperset(cluster), self._unfit(cluster), partial(self._at_start, S), bent)
             if found is not None:
                 self.nodes += [BareNode(r, names[r], *found) for r in cluster]
+
+    def _by_costates(self, expr: ca.SX) -> ca.SX:
+        """d expr / dz (1 x n1), by those costates only that stand in the expression."""
+        read = [s for s in ca.symvar(expr) if s.element_hash() in self._costates]
+        if not read:
+            return ca.SX(1, self.terms.n1)
+        slope = ca.jacobian(expr, ca.vertcat(*read))
+        columns = [self._costates[read[j].element_hash()] for j in slope.sparsity().get_triplet()[1]]
+        return ca.SX.triplet([0] * len(columns), columns, ca.vec(slope.nz[:]), 1, self.terms.n1)
 
     def _without_zeros(self, rows: dict[int, ca.SX]) -> dict[int, ca.SX]:
         """The rows without algebraic variables that a row of their own makes zero: the current of an ideal meter."""
@@ -155,7 +164,7 @@ class Finder:
         return ""
 
     @staticmethod
-    def _reads(expr: ca.SX, some: frozenset[int]) -> bool:
+    def _reads(expr: ca.SX, some: Container[int]) -> bool:
         """Whether one of `some` symbols, by their hashes, stands in an expression."""
         return any(s.element_hash() in some for s in ca.symvar(expr))
 
@@ -164,8 +173,8 @@ class Finder:
         return frozenset(s.element_hash() for v in self.terms.model.algebraics for s in ca.vertsplit(v.sx))
 
     @cached_property
-    def _costates(self) -> frozenset[int]:
-        return frozenset(s.element_hash() for s in ca.vertsplit(self.z))
+    def _costates(self) -> dict[int, int]:
+        return {s.element_hash(): i for i, s in enumerate(ca.vertsplit(self.z))}
 
     @cached_property
     def _state_names(self) -> list[str]:
@@ -230,4 +239,5 @@ class Finder:
 
 def depends(expr: ca.SX, on: ca.SX) -> bool:
     """Structural dependence after cancelling what differentiates to zero."""
-    return ca.simplify(ca.jacobian(ca.densify(expr), on)).nnz() > 0 and ca.depends_on(expr, on)
+    entries = ca.vec(expr.nz[:])
+    return ca.simplify(ca.jacobian(entries, on)).nnz() > 0 and ca.depends_on(entries, on)

@@ -25,9 +25,9 @@ class Locator:
         self.where: dict[int, ValueAt] = {time.element_hash(): ValueAt(Value.TIME, 0)}
         owners = ((Value.STATE, model.states), (Value.ALGEBRAIC, model.algebraics), (Value.PARAMETER, model.parameters))
         for kind, variables in owners:
-            for i, s in enumerate(s for v in variables for s in ca.vertsplit(v.sx)):
+            for i, s in enumerate(s for v in variables for s in scalars(v.sx)):
                 self.where[s.element_hash()] = ValueAt(kind, i)
-        for i, z in enumerate(z for v in model.states for z in ca.vertsplit(v.z)):
+        for i, z in enumerate(z for v in model.states for z in scalars(v.z)):
             self.where[z.element_hash()] = ValueAt(Value.COSTATE, i)
         for i, pair in enumerate(pairs):
             self.where[pair.port.u[pair.j].element_hash()] = ValueAt(Value.INPUT, i)
@@ -36,7 +36,7 @@ class Locator:
         """This locator with the entries of `symbols` besides."""
         out = Locator.__new__(Locator)
         out.where, out.known = dict(self.where), self.known
-        for s, i in zip(ca.vertsplit(symbols), indices, strict=True):
+        for s, i in zip(scalars(symbols), indices, strict=True):
             out.where[s.element_hash()] = ValueAt(kind, i)
         return out
 
@@ -53,7 +53,7 @@ class Locator:
             ) from None
 
     def of(self, variable: Variable | Port) -> list[ValueAt]:
-        return [self.find(s, variable.name) for s in ca.vertsplit(variable.sx)]
+        return [self.find(s, variable.name) for s in scalars(variable.sx)]
 
 
 @dataclass(frozen=True)
@@ -73,19 +73,20 @@ def read(exprs: Sequence[ca.SX], locator: Locator, context: str, extra: Sequence
     """The form of `exprs` and where their symbols live; `extra` symbols (scalars) are listed first even if they do not occur."""
     found: dict[Value, dict[int, ca.SX]] = {}
     alone = len(exprs) == 1 and exprs[0].is_symbolic() and exprs[0].is_scalar()
-    for s in [*extra, *(exprs if alone else ca.symvar(ca.veccat(*exprs)))]:
-        at = locator.find(s, context)
+    f = None if alone else ca.Function("f", [], exprs, {"allow_free": True})
+    met = [*exprs] if f is None else f.free_sx()  # in the order of the operations that read them
+    free = [locator.find(s, context) for s in met]
+    for s, at in zip([*extra, *met], [*(locator.find(s, context) for s in extra), *free], strict=True):
         found.setdefault(at.kind, {}).setdefault(at.index, s)
     found = {kind: found[kind] for kind in Value if kind in found}
     symbols = {kind: list(of.values()) for kind, of in found.items()}
     index = {kind: tuple(of) for kind, of in found.items()}
     counts = tuple((kind, len(of)) for kind, of in symbols.items())
-    if alone:  # a mass, a state that is observed
-        at = locator.find(exprs[0], context)
-        return Reading((counts, at.kind, index[at.kind].index(at.index)), symbols, index)
-    f = ca.Function("f", [ca.vertcat(*of) for of in symbols.values()], exprs)
+    places = tuple((at.kind, index[at.kind].index(at.index)) for at in free)
+    if f is None:  # a mass, a state that is observed
+        return Reading((counts, places), symbols, index)
     shapes = tuple((*e.shape, *map(tuple, e.sparsity().get_triplet())) if e.numel() != 1 else e.nnz() for e in exprs)
-    return Reading((counts, shapes, _operations(f)), symbols, index)
+    return Reading((counts, places, shapes, _operations(f)), symbols, index)
 
 
 def _operations(f: ca.Function) -> tuple[Hashable, ...]:
@@ -105,7 +106,7 @@ def canonical(exprs: Sequence[ca.SX], locator: Locator, context: str, extra: Seq
 
     `extra` symbols (scalars) are listed first even if they do not occur.  Expressions of one form share the pool.
     """
-    exprs = [ca.SX(e) for e in exprs]
+    exprs = [e if isinstance(e, ca.SX) else ca.SX(e) for e in exprs]
     found = read(exprs, locator, context, extra)
     known = locator.known.get(found.form)
     if known is None:
@@ -119,20 +120,39 @@ def canonical(exprs: Sequence[ca.SX], locator: Locator, context: str, extra: Seq
     return *known, found.index
 
 
-def alike(given: Sequence[ca.SX], locator: Locator, context: str, make: Callable[[], Term]) -> Term:
-    """A term that follows from `given` alone: made once per form of these, then placed where their symbols are.
-
-    Its rows and owner are those of the term that was made.
-    """
+def alike(
+    given: Sequence[ca.SX],
+    rows: Sequence[RowAt],
+    locator: Locator,
+    context: str,
+    make: Callable[[], list[Term]],
+    owner: int = 0,
+    also: Hashable = None,
+) -> list[Term]:
+    """The terms that follow from `given` and the rows that they may have: made once per form of these, then placed where the
+    symbols and rows of others are.  `also`: what else they follow from.
+    """  # fmt: skip
     found = read(given, locator, context)
-    known = locator.known.get((make.__name__, found.form))
+    key = make.__qualname__, found.form, also, tuple((r.kind, rows.index(r)) for r in rows)
+    known = locator.known.get(key)
     if known is None:
-        term = make()
-        places = {kind: [found.index[kind].index(i) for i in of] for kind, of in term.index.items()}
-        locator.known[make.__name__, found.form] = term, places
-        return term
-    term, places = known
-    return replace(term, index={kind: tuple(found.index[kind][j] for j in of) for kind, of in places.items()})
+        terms = make()
+        locator.known[key] = [
+            (
+                t,
+                {kind: [found.index[kind].index(i) for i in of] for kind, of in t.index.items()},
+                [rows.index(r) for r in t.rows],
+            )
+            for t in terms
+        ]
+        return terms
+    return [
+        replace(
+            t, index={kind: tuple([found.index[kind][j] for j in of]) for kind, of in places.items()},
+            rows=tuple([rows[j] for j in at]), owner=owner,
+        )
+        for t, places, at in known
+    ]  # fmt: skip
 
 
 def make_term(
@@ -183,4 +203,4 @@ def member(members: Sequence[str], owner: str) -> int:
 def scalars(matrix: ca.SX) -> list[ca.SX]:
     """The structural nonzeros of a matrix, column by column."""
     entries: list[Any] = matrix.nonzeros()
-    return [ca.SX(e) for e in entries]
+    return entries

@@ -5,8 +5,6 @@ H of every component of a model.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import casadi as ca
 
 from phfmu.declare.energy import Energy, EnergyKind
@@ -15,7 +13,7 @@ from phfmu.declare.operations import degree, piecewise
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.summands import summands
 from phfmu.declare.variable import Value
-from phfmu.terms.canonical import Locator, alike, make_term
+from phfmu.terms.canonical import Locator, alike, make_term, scalars
 from phfmu.terms.located import Row, RowAt
 from phfmu.terms.term import ENERGY, JOINT, EnergyForm, Term, Terms
 
@@ -27,7 +25,7 @@ def energies(model: PHDAE, out: Terms, locator: Locator, mass: dict[int, ca.SX],
             group = [e for e in model.energies if e.owner == owner]
             _joint(model, out, locator, mass, group)
         return
-    known = {s.element_hash() for v in model.states for s in ca.vertsplit(v.sx)}
+    known = {s.element_hash() for v in model.states for s in scalars(v.sx)}
     for e in (part for whole in model.energies for part in summands(whole, known)):
         states = _states_of(e.expr, locator)
         if not states:  # a constant moves nothing
@@ -38,14 +36,14 @@ def energies(model: PHDAE, out: Terms, locator: Locator, mass: dict[int, ca.SX],
             out.terms.append(_bent(e, out, locator, mass, states, owner))
             continue
 
-        def quadratic(e: Energy = e, states: list[tuple[ca.SX, int]] = states) -> Term:
+        def quadratic(e: Energy = e, states: list[tuple[ca.SX, int]] = states, owner: int = owner) -> list[Term]:
             _require_kind(model, e, states)
             exprs = {"H": e.expr, "scale": _scale(states, mass), "z": _costates(e.expr, states, mass)}
-            return make_term(ENERGY, exprs, locator, "energy", rows=_balances(states), extra=[s for s, _ in states],
-                             form=EnergyForm(e.kind))  # fmt: skip
+            return [make_term(ENERGY, exprs, locator, "energy", rows=_balances(states), extra=[s for s, _ in states], owner=owner,
+                              form=EnergyForm(e.kind))]  # fmt: skip
 
-        term = alike([e.expr, *(mass.get(i, ca.SX(1)) for _, i in states)], locator, "energy", quadratic)
-        out.terms.append(replace(term, rows=tuple(_balances(states)), owner=owner))
+        given = [e.expr, *(mass.get(i, ca.SX(1)) for _, i in states)]
+        out.terms += alike(given, _balances(states), locator, "energy", quadratic, owner)
 
 
 def _scale(states: list[tuple[ca.SX, int]], mass: dict[int, ca.SX]) -> ca.SX:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import casadi as ca
 
@@ -13,15 +14,15 @@ from phfmu.declare.error import DeclarationError
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import Port
 from phfmu.declare.variable import Value, Variable, VariableKind, _sx
-from phfmu.terms.canonical import Locator, components, make_term, scalars
+from phfmu.terms.canonical import Locator, alike, components, make_term, scalars
 from phfmu.terms.located import EFFORT_OF, ROW_OF, Constant, Row, RowAt, ValueAt
-from phfmu.terms.term import FLOW, SOURCE, Terms
+from phfmu.terms.term import FLOW, SOURCE, Term, Terms
 
 
 def _rows(
     model: PHDAE, variables: Sequence[Variable | Port], locator: Locator
-) -> tuple[list[RowAt], ca.SX, list[ValueAt | None]]:
-    """Rows of `variables`, their efforts, and where each effort is a plain value (None: a given z2).
+) -> tuple[list[RowAt], list[ValueAt | None]]:
+    """Rows of `variables`, and where the effort of each is a plain value (None: a given z2).
 
     A port has the rows -y of its pairs, and its input is the effort.
     """
@@ -36,7 +37,7 @@ def _rows(
     rows = [RowAt(ROW_OF[at.kind], at.index) for at in found]
     plain = [v.kind is not VariableKind.ALGEBRAIC or v not in model.z for v in variables for _ in range(v.n)]
     sources = [ValueAt(EFFORT_OF[row.kind], row.index) if ok else None for row, ok in zip(rows, plain, strict=True)]
-    return rows, ca.vertcat(*(model.effort(v) for v in variables)), sources
+    return rows, sources
 
 
 def _constant(entry: ca.SX) -> float | None:
@@ -59,14 +60,29 @@ def _flow(out: Terms, rows: Sequence[RowAt], f: ca.SX) -> tuple[list[RowAt], ca.
 
 @dataclass(frozen=True, eq=False)
 class _Labelled:
-    """A block with its rows, their efforts, and where each effort is a plain value."""
+    """A block with its variables, their rows, and where the effort of each row is a plain value."""
 
-    matrix: ca.SX
+    model: PHDAE
+    block: Block
     rows: list[RowAt]
-    z: ca.SX
     sources: list[ValueAt | None]
     owner: int
     label: str
+
+    @property
+    def matrix(self) -> ca.SX:
+        return self.block.matrix
+
+    @cached_property
+    def z(self) -> ca.SX:
+        """The efforts."""
+        return ca.vertcat(*(self.model.effort(v) for v in self.block.variables))
+
+    def terms(self, out: Terms, locator: Locator, matrix: ca.SX, make: Callable[[], list[Term]]) -> list[Term]:
+        """Terms of a part `matrix` of this block, made once for all blocks that are alike."""
+        rows = [target for row in self.rows for target, _ in _targets(out, row)]
+        bound = tuple(row.index in out.bound for row in self.rows if row.kind is Row.OUTPUT)
+        return alike([matrix, self.z], rows, locator, self.label, make, self.owner, bound)
 
 
 def blocks(model: PHDAE, out: Terms, locator: Locator) -> None:
@@ -78,7 +94,7 @@ def blocks(model: PHDAE, out: Terms, locator: Locator) -> None:
 
 
 def _labelled(model: PHDAE, out: Terms, locator: Locator, b: Block, what: str) -> _Labelled:
-    rows, z, sources = _rows(model, b.variables, locator)
+    rows, sources = _rows(model, b.variables, locator)
     label = f"{what} block on {', '.join(v.name for v in b.variables)}"
     if b.matrix.shape != (len(rows), len(rows)):
         raise DeclarationError(
@@ -87,16 +103,21 @@ def _labelled(model: PHDAE, out: Terms, locator: Locator, b: Block, what: str) -
             "make it as large as its variables and ports",
             "shape",
         )
-    return _Labelled(b.matrix, rows, z, sources, out.member(b.owner), label)
+    return _Labelled(model, b, rows, sources, out.member(b.owner), label)
 
 
 def _dissipation(out: Terms, locator: Locator, b: _Labelled) -> None:
-    for part in _sharing(b.matrix, locator):
-        zp = ca.vertcat(*(b.z[i] for i in part))
-        f = -ca.mtimes(b.matrix[part, part], zp)
-        where, values = _flow(out, [b.rows[i] for i in part], f)
-        exprs = {"f": values, "loss": -ca.dot(zp, f)}
-        out.terms.append(make_term(FLOW, exprs, locator, b.label, rows=where, owner=b.owner))
+    def dissipation() -> list[Term]:
+        found = []
+        for part in _sharing(b.matrix, locator):
+            zp = ca.vertcat(*(b.z[i] for i in part))
+            f = -ca.mtimes(b.matrix[part, part], zp)
+            where, values = _flow(out, [b.rows[i] for i in part], f)
+            exprs = {"f": values, "loss": -ca.dot(zp, f)}
+            found.append(make_term(FLOW, exprs, locator, b.label, rows=where, owner=b.owner))
+        return found
+
+    out.terms += b.terms(out, locator, b.matrix, dissipation)
 
 
 def _sharing(matrix: ca.SX, locator: Locator) -> list[list[int]]:
@@ -113,8 +134,10 @@ def _sharing(matrix: ca.SX, locator: Locator) -> list[list[int]]:
 def _interconnection(out: Terms, locator: Locator, b: _Labelled) -> None:
     varying: list[tuple[int, int, ca.SX]] = []
     i_row, i_col = b.matrix.sparsity().get_triplet()
-    for r, c, entry in zip(i_row, i_col, scalars(b.matrix), strict=True):
-        value, source = _constant(entry), b.sources[c]
+    entries = scalars(b.matrix)
+    values = [_constant(entry) for entry in entries]
+    for r, c, entry, value in zip(i_row, i_col, entries, values, strict=True):
+        source = b.sources[c]
         if value is None or (source is None and value):
             varying.append((r, c, entry))
         elif value and source is not None:
@@ -123,10 +146,16 @@ def _interconnection(out: Terms, locator: Locator, b: _Labelled) -> None:
         return
     i_row, i_col, entries = (list(column) for column in zip(*varying, strict=True))
     matrix = ca.SX.triplet(i_row, i_col, ca.vertcat(*entries), *b.matrix.shape)
-    for part in components(matrix):
-        zp = ca.vertcat(*(b.z[i] for i in part))
-        where, f = _flow(out, [b.rows[i] for i in part], ca.mtimes(matrix[part, part], zp))
-        out.terms.append(make_term(FLOW, {"f": f}, locator, b.label, rows=where, owner=b.owner))
+
+    def interconnection() -> list[Term]:
+        found = []
+        for part in components(matrix):
+            zp = ca.vertcat(*(b.z[i] for i in part))
+            where, f = _flow(out, [b.rows[i] for i in part], ca.mtimes(matrix[part, part], zp))
+            found.append(make_term(FLOW, {"f": f}, locator, b.label, rows=where, owner=b.owner))
+        return found
+
+    out.terms += b.terms(out, locator, matrix, interconnection)
 
 
 def ports(out: Terms, locator: Locator) -> None:
@@ -160,7 +189,7 @@ def _port(out: Terms, locator: Locator, port: Port, first: int) -> None:
                 f"port '{port.name}'", f"B on '{v.name}' is {b.shape[0]} x {b.shape[1]}, expected {v.n} x {port.n}",
                 "make it as large as the variable and the port", "shape",
             )  # fmt: skip
-        rows, z, sources = _rows(out.model, [v], locator)
+        rows, sources = _rows(out.model, [v], locator)
         i_row, i_col = b.sparsity().get_triplet()
         for r, j in zip(i_row, i_col, strict=True):
             pair, row, source, value = first + j, rows[r], sources[r], _constant(b[r, j])
@@ -177,7 +206,7 @@ def _port(out: Terms, locator: Locator, port: Port, first: int) -> None:
                 if back:
                     out.constants.append(Constant(back, source, -value))
             else:
-                y = b[r, j] * z[r]
+                y = b[r, j] * out.model.effort(v)[r]
                 targets += [(RowAt(Row.OUTPUT, pair), y)] + ([(back, -y)] if back else [])
             for target, expr in targets:
                 varying[target] = varying.get(target, ca.SX(0)) + expr

@@ -22,6 +22,8 @@ class Row(Enum):
     SOURCE = "source of a port pair"
     CONDENSED = "value of a condensed variable"
 
+    __hash__ = object.__hash__  # its members are keys of many tables
+
 
 @dataclass(frozen=True, slots=True)
 class ValueAt:

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import casadi as ca
+import numpy as np
 
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.variable import Value, time
@@ -24,7 +25,7 @@ from phfmu.terms.canonical import components
 from phfmu.terms.extract import extract
 from phfmu.terms.hidden import Hidden
 from phfmu.terms.rows import costate_symbols, costates, output_expressions, row_expressions
-from phfmu.terms.term import CLOSED, CONSTRAINT, ENERGY, JOINT, MASS, MASS_BLOCK, Term, Terms
+from phfmu.terms.term import CLOSED, CONSTRAINT, ENERGY, JOINT, MASS, MASS_BLOCK, Term, Terms, by_kind, gathered
 from phfmu.terms.velocities import velocity_of
 
 
@@ -180,12 +181,13 @@ def masses(terms: Terms) -> ca.SX:
 
 def mass_values(terms: Terms, masses: Iterable[Term]) -> dict[int, float]:
     """State -> its mass at the start values of the parameters, of some mass terms."""
-    p, known, out = [s for v in terms.model.parameters for s in v.start], {}, {}
-    for t in masses:
-        if t.key not in known:
-            known[t.key] = ca.Function("m", [t.symbols(Value.PARAMETER)], [t.data["m"]])
-        out[t.rows[0].index] = float(known[t.key]([p[i] for i in t.indices(Value.PARAMETER)]))
-    return out
+    masses = list(masses)
+    p, found = np.array([s for v in terms.model.parameters for s in v.start], float), dict[int, float]()
+    for own in by_kind(masses):
+        f = ca.Function("m", [own[0].symbols(Value.PARAMETER)], [ca.densify(own[0].data["m"])])
+        values = np.array(f(gathered(p, own, Value.PARAMETER))).ravel()
+        found |= {t.rows[0].index: m for t, m in zip(own, values.tolist(), strict=True)}
+    return {i: found[i] for i in (t.rows[0].index for t in masses)}
 
 
 def constrained(terms: Terms) -> dict[int, str]:

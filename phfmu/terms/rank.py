@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.declare.variable import Value
-from phfmu.terms.term import CONSTRAINT, Term, Terms
+from phfmu.terms.term import CONSTRAINT, Term, Terms, by_kind, gathered
 from phfmu.terms.velocities import velocity_of
 from phfmu.words import folded
 
@@ -225,16 +225,16 @@ def _evaluated(terms: Terms) -> list[tuple[Term, tuple[float, Array]]]:
     model = terms.model
     x = np.array([s for v in model.states for s in v.start], float)
     p = np.array([s for v in model.parameters for s in v.start], float)
-    known: dict[tuple, ca.Function] = {}
-    out = []
-    for t in terms.of(CONSTRAINT):
-        if t.key not in known:
-            symbols = [t.local[Value.STATE], t.symbols(Value.PARAMETER), t.symbols(Value.TIME)]
-            known[t.key] = ca.Function("g", symbols, [t.data["g"], ca.densify(ca.gradient(t.data["g"], symbols[0]))])
-        time = np.zeros(1 if Value.TIME in t.local else 0)
-        g, grad = known[t.key](x[list(t.index[Value.STATE])], p[list(t.indices(Value.PARAMETER))], time)
-        out.append((t, (float(g), np.array(grad).ravel())))
-    return out
+    found: dict[int, tuple[float, Array]] = {}
+    for own in by_kind(terms.of(CONSTRAINT)):
+        t = own[0]
+        symbols = [t.local[Value.STATE], t.symbols(Value.PARAMETER), t.symbols(Value.TIME)]
+        f = ca.Function("g", symbols, [t.data["g"], ca.densify(ca.gradient(t.data["g"], symbols[0]))])
+        time = np.zeros((symbols[2].numel(), len(own)))
+        values = f(gathered(x, own, Value.STATE), gathered(p, own, Value.PARAMETER), time)
+        g, grad = (np.array(v.full()) for v in values)
+        found |= {id(t): (float(g[0, i]), grad[:, i].copy()) for i, t in enumerate(own)}
+    return [(t, found[id(t)]) for t in terms.of(CONSTRAINT)]
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import replace
 
 import casadi as ca
 
@@ -12,7 +11,7 @@ from phfmu.declare.variable import Value, time
 from phfmu.terms.extract_energy import all_divided
 from phfmu.terms.hidden import Check, Hidden, Level
 from phfmu.terms.located import Row
-from phfmu.terms.term import CLOSED, CONSTRAINT, FLOW, MASS, Term, Terms
+from phfmu.terms.term import CLOSED, CONSTRAINT, FLOW, MASS, Term, Terms, by_kind, gathered
 from phfmu.terms.velocities import velocity_of
 
 
@@ -81,18 +80,19 @@ def check_rows(terms: Terms, checks: list[Check], z: ca.SX | None = None) -> lis
     position = {c.row: n for n, c in enumerate(checks) if c.level is Level.POSITION}
     rows = row_expressions(terms, hidden.rows, z)
     out, velocity = [ca.SX(0) for _ in checks], velocity_of(terms)
-    levels: dict[tuple, tuple[dict[Value, ca.SX], list[ca.SX]]] = {}
-    for t in terms.of(CONSTRAINT):
-        if t.key not in levels:  # once per kind: g, Dg and what moves it; their symbols are those of this term
-            g, q = t.data["g"], t.local[Value.STATE]
-            moving = ca.gradient(g, t.local[Value.TIME]) if Value.TIME in t.local else ca.SX(0)
-            levels[t.key] = t.local, [g, ca.gradient(g, q), moving]
-        local, exprs = levels[t.key]
-        value, grad, moving = ca.substitute(exprs, *_globals(replace(t, local=local), x, z, p, a, terms.bound))
-        v = ca.vertcat(*(z[velocity[i]] for i in t.index[Value.STATE]))
-        rows[t.rows[0].index] += ca.dot(grad, v) + moving
-        if t.rows[0].index in position:
-            out[position[t.rows[0].index]] += value
+    for own in by_kind(terms.of(CONSTRAINT)):
+        first = own[0]
+        g, q, t = first.data["g"], first.local[Value.STATE], first.symbols(Value.TIME)
+        v, moving = ca.SX.sym("v", q.numel()), ca.gradient(g, t) if t.numel() else ca.SX(0)
+        local = [q, v, first.symbols(Value.PARAMETER), t]
+        f = ca.Function("g", local, [ca.densify(g), ca.densify(ca.dot(ca.gradient(g, q), v) + moving)])
+        at = ca.SX(z[[velocity[i] for c in own for i in c.index[Value.STATE]]])
+        given = [gathered(x, own, Value.STATE), ca.reshape(at, q.numel(), len(own)), gathered(p, own, Value.PARAMETER)]
+        positions, velocities = f.call([*given, ca.repmat(time, t.numel(), len(own))])
+        for c, value, rate in zip(own, ca.horzsplit(positions), ca.horzsplit(velocities), strict=True):
+            rows[c.rows[0].index] += rate
+            if c.rows[0].index in position:
+                out[position[c.rows[0].index]] += value
     eliminated = _eliminated(rows, hidden, a)
     for n, c in enumerate(checks):
         if c.level is Level.VELOCITY:

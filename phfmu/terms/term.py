@@ -6,12 +6,14 @@ the plan holds one kernel with many instances.
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, TypeVar
 
 import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
 
 from phfmu.declare.energy import EnergyKind
 from phfmu.declare.phdae import ACCOUNT, PHDAE
@@ -93,6 +95,26 @@ class Term:
     def indices(self, kind: Value) -> tuple[int, ...]:
         """Their global indices."""
         return self.index.get(kind, ())
+
+
+def by_kind(terms: Iterable[Term]) -> list[list[Term]]:
+    """The terms of each kind, which have equal keys."""
+    found: dict[tuple[Any, ...], list[Term]] = {}
+    for t in terms:
+        found.setdefault(t.key, []).append(t)
+    return list(found.values())
+
+
+def gathered(values: NDArray[np.float64] | ca.SX, terms: Sequence[Term], kind: Value) -> Any:
+    """Of a column of `values` of one kind those that terms of equal key act on, a column for each term."""
+    where = np.array([t.indices(kind) for t in terms], np.int64).reshape(len(terms), -1)
+    if isinstance(values, ca.SX):
+        return (
+            ca.reshape(values[where.ravel().tolist()], where.shape[1], len(terms))
+            if where.size
+            else ca.SX(*where.T.shape)
+        )
+    return values[where.T]
 
 
 @dataclass

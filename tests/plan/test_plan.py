@@ -11,6 +11,7 @@ import pytest
 import phfmu as ph
 from phfmu import PHDAE, Collocated, Port, PythonInstance, TwoLevel, block, build_model, energy
 from phfmu.components.library import build
+from phfmu.engine.reference.chain import Tangents
 from phfmu.engine.reference.evaluate import Evaluator
 from tests.wide import wide
 
@@ -133,6 +134,15 @@ def assert_plan_is_the_derivative(plan, model, seed, h):
     assert np.max(np.abs(inner * outside), initial=0.0) <= 1e-9
     assert (np.diff(plan.colptr) == np.bincount(plan.matrix.col, minlength=plan.nw)).all()
     assert sorted(plan.order) == sorted(plan.pivot_row) == list(range(plan.nw))
+    full = np.concatenate([inside[: plan.nw], np.tile(inside[plan.nw :], plan.k), [h]])
+
+    def residual(states):
+        return evaluator.residual(np.append(states, x[plan.nx :]), full, model.p0, h)[: plan.nw].copy()
+
+    by_states = differences(residual, x[: plan.nx])
+    residual(x[: plan.nx])
+    got = Tangents(evaluator).by_states(x, model.p0, h).toarray()
+    assert np.max(np.abs(got - by_states), initial=0.0) <= 1e-9 * max(1.0, np.max(np.abs(by_states), initial=0.0))
 
 
 @pytest.mark.parametrize("seed", SEEDS)

@@ -16,6 +16,7 @@ Several parts are solved again, from the state and the unknowns at the start of 
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +27,11 @@ from phfmu.engine.reference.newton import Fixed, Newton
 from phfmu.engine.reference.state import State
 from phfmu.outcome.limits import LIMITS
 from phfmu.outcome.status import Status
+from phfmu.plan.planner import derivative_slots
 from phfmu.plan.tangent import differentiated, tangent
+
+if TYPE_CHECKING:
+    from scipy.sparse import csc_array
 
 Array = NDArray[np.float64]
 
@@ -37,8 +42,8 @@ class Tangents:
     def __init__(self, evaluator: Evaluator):
         self.evaluator = evaluator
         plan, chosen = evaluator.plan, {id(k) for k in differentiated(evaluator.plan)}
-        staged = [[g for g in plan.groups if g.stage == stage and id(g.kernel) in chosen] for stage in (0, 1)]
-        self._stages = [Stage(gs, [tangent(g.kernel) for g in gs], (*TABLES, "xi", "yi")) for gs in staged]
+        self._groups = [[g for g in plan.groups if g.stage == stage and id(g.kernel) in chosen] for stage in (0, 1)]
+        self._stages = [Stage(gs, [tangent(g.kernel) for g in gs], (*TABLES, "xi", "yi")) for gs in self._groups]
 
     def along(self, x: Array, p: Array, h: float, dx: Array, dv: Array) -> Array:
         """dR along dx and dv = [dw | du | dh]; rows at rest are 0."""
@@ -50,6 +55,37 @@ class Tangents:
         r += self._stages[1].sums(h, plan.nrow, x, evaluator.Y, p, dx, dy)
         r[plan.hold.of(evaluator.rests)] = 0.0
         return r
+
+    def by_states(self, x: Array, p: Array, h: float) -> csc_array:
+        """dF/dx of the residual by the old states (nw x nx), those of kernels taken one after another.
+
+        Through Z of stage 0 it is the product R_x + R_Z Z_x, R_Z being what the kernels of stage 1 have put into V.
+        """
+        from scipy.sparse import coo_array, csc_array
+
+        evaluator, plan = self.evaluator, self.evaluator.plan
+        by_x = []
+        for stage, groups, size in zip(self._stages, self._groups, (plan.nz, plan.nrow), strict=True):
+            found = [(np.zeros(0), np.zeros(0, np.int32), np.zeros(0, np.int32))]
+            stage.take(x, evaluator.Y, p, np.zeros_like(x), np.zeros_like(evaluator.Y))
+            for g, kernel in zip(groups, stage.kernels, strict=True):
+                direction, out = kernel.arg[3], kernel.res[0]
+                for j in range(g.xi.shape[1]):
+                    direction[:] = np.arange(direction.shape[1]) == j
+                    kernel.call()
+                    column = np.broadcast_to(g.xi[:, j : j + 1], g.oi.shape)
+                    found.append(((out * h ** g.power.astype(float)).ravel(), g.oi.ravel(), column.ravel()))
+            values, rows, columns = (np.concatenate(parts) for parts in zip(*found, strict=True))
+            by_x.append(csc_array(coo_array((values, (rows, columns)), shape=(size, plan.nx + 1))))
+        constant = plan.const_row, plan.const_src, np.zeros_like(plan.const_row), plan.const_pow  # V[0] = 1
+        both = zip(derivative_slots(plan.groups, 1), constant, strict=True)
+        row, column, slot, power = (np.concatenate(parts) for parts in both)
+        values = evaluator.V[slot] * h ** power.astype(float)
+        values[len(values) - len(plan.const_val) :] *= plan.const_val
+        via = column >= plan.nv
+        R_z = coo_array((values[via], (row[via], column[via] - plan.nv)), shape=(plan.nrow, plan.nz))
+        whole = csc_array(by_x[1] + csc_array(R_z) @ by_x[0])
+        return csc_array(whole[: plan.nw, : plan.nx])
 
     def follow(self, newton: Newton, x: Array, p: Array, h: float, dx: Array, dv: Array) -> Array:
         """dR along dx and the inputs of dv, with the unknowns, which go into dv, following."""
