@@ -5,9 +5,7 @@ The discretised model of every mode of a declaration with switches, built when i
 
 from __future__ import annotations
 
-import gc
-from collections.abc import Callable, Hashable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, wraps
 from typing import Any, Concatenate, Generic, ParamSpec, TypeVar
@@ -139,22 +137,9 @@ def build_model(declaration: PHDAE, scheme: Scheme | None = None) -> Model:
         raise DeclarationError.of(bad)
     chosen = default_scheme(declaration) if scheme is None else scheme
     if not declaration.switches:
-        with _uncollected():
-            return _shared(declaration, chosen)
+        return _shared(declaration, chosen)
     models = ModeModels(Modes(declaration), lambda declared: _discretised(declared, chosen, True))
     return replace(models[models.modes.start], checks=(), check_scale=np.zeros(0), modes=models)
-
-
-@contextmanager
-def _uncollected() -> Iterator[None]:
-    """Without collections of cycles: planning makes millions of objects, hardly a cycle, and each collection visits them all."""
-    collects = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if collects:
-            gc.enable()
 
 
 _PLANNED: WeakValueDictionary[tuple[Hashable, ...], Model] = WeakValueDictionary()
