@@ -72,8 +72,6 @@ class Unit:
     derives: ClassVar[bool] = True
     #: type and name of what is constant of its step map in C, and the function that tells the map
     about: ClassVar[tuple[str, str, str]] = ("ph_model", "ph_the_model", "ph_map_model")
-    #: that declares these, where it is none that all units have
-    header: ClassVar[str] = ""
 
     def __post_init__(self) -> None:
         require_model(self.model, "Unit")
@@ -92,6 +90,11 @@ class Unit:
     def kernels(self) -> PortKernels | None:
         """Its impulses; None without."""
         return kernels_of(self.model) if self.at_nodes else None
+
+    @property
+    def headers(self) -> tuple[str, ...]:
+        """C headers of what its equations and its landing are, where these are of no one model."""
+        return ()
 
     @property
     def lands(self) -> bool:

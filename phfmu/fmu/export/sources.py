@@ -160,7 +160,7 @@ def interface_text(unit: Unit, token: str) -> str:
         sizes = [str(unit.spans[i].size if i in unit.spans else 1) for i in range(len(rows))]
         checks += f"static const int sizes[] = {{\n{_list(sizes)}}};\n"
     nodes = "    .node_memory = fmu_node_memory,\n    .node_map = fmu_node_map,\n" if unit.at_nodes else ""
-    include = f'#include "{unit.header}"\n' if unit.header else ""
+    include = "".join(f'#include "{name}"\n' for name in unit.headers)
     if unit.kernels:
         include, nodes = include + '#include "impulses.h"\n', nodes + "    .impulses = &impulses,\n"
         checks += _impulses_text(unit.kernels)

@@ -153,8 +153,8 @@ class NetworkUnit(Unit):
         return f"static const fmu_landing landing = {{\n{functions}}};\n"
 
     @property
-    def header(self) -> str:  # type: ignore[override]
-        return 'network.h"\n#include "network_landing.h' if self.lands else "network.h"
+    def headers(self) -> tuple[str, ...]:
+        return ("network.h", "network_landing.h") if self.lands else ("network.h",)
 
     @property
     def saves(self) -> bool:
