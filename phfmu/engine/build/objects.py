@@ -86,8 +86,11 @@ def build(files: Mapping[str, bytes], tools: Toolchain, end: str, key: str) -> P
 
 
 def _built(root: Path, files: Mapping[str, bytes], tools: Toolchain, end: str, key: str) -> Path:
-    """The library in this cache; CacheFull if there is no room."""
-    with tempfile.TemporaryDirectory(dir=root / "lib") as folder:
+    """The library in this cache; CacheFull if there is no room.
+
+    The end of a process may meet a compiler of a thread that still writes into the folder, which is no error then.
+    """
+    with tempfile.TemporaryDirectory(dir=root / "lib", ignore_cleanup_errors=True) as folder:
         try:
             return _Work(root, Path(folder), tools, files).library(end, key)
         except (OSError, CompileError):
