@@ -33,6 +33,7 @@ MAKERS = {
         "two_machine_order",
     ),
     "multibody": ("chain", "top"),
+    "mechanisms": ("mechanism_values", "mechanism_windows", "mechanism_slopes"),
     "stepping": ("restart", "tolerance", "between"),
     "audit_cost": ("audit_cost",),
     "library": ("orders",),
