@@ -22,9 +22,7 @@ from phfmu.gradients.quadrature import nodes
 from phfmu.interrupt import Interrupted
 from phfmu.network.couplings.anderson import Anderson
 from phfmu.network.couplings.coupled import Coupled
-from phfmu.network.couplings.coupling import Solution
-from phfmu.network.couplings.gauss_seidel import GaussSeidel
-from phfmu.network.couplings.jacobi import Jacobi
+from phfmu.network.couplings.coupling import InTurn, Solution
 from phfmu.network.couplings.newton import Newton
 from phfmu.network.couplings.unconverged import Accepting, Halving
 from phfmu.network.members.engine_member import EngineMember
@@ -81,7 +79,7 @@ class DerivedMembers(Coupled):
         wired: list[list[int]] = [[] for _ in self.engines]
         for _, _, target, i in found.wires.tolist():
             wired[target].append(i)
-        if isinstance(self.coupling, GaussSeidel | Jacobi):
+        if isinstance(self.coupling, InTurn):
             parts = zip(self.engines, found.parts, own, strict=True)
             self.maps = InTurnMaps(found, list(parts), self.coupling.groups(self.joined))
         else:
@@ -178,10 +176,12 @@ class DerivedMembers(Coupled):
                 f"{name}: steps that may be halved, or accepted as they are, where the interface does not converge have no "
                 "derivatives; leave out --unconverged and take shorter steps"
             )
-        if not isinstance(self.coupling, Newton | Anderson | GaussSeidel | Jacobi):
+        swept = isinstance(self.coupling, InTurn) and self.coupling.repeats
+        if swept or not isinstance(self.coupling, Newton | Anderson | InTurn):
+            why = "which takes each step more than once" if swept else "whose rule is a function in Python"
             raise ValueError(
-                f"{name}: steps of {type(self.coupling).__name__}, whose rule is a function in Python, have no derivatives; take "
-                f"--coupling newton, or {instead}"
+                f"{name}: steps of {type(self.coupling).__name__}, {why}, have no derivatives; take --coupling newton, "
+                f"or {instead}"
             )
         if self._signals.any_held:
             held = ", ".join(of_member(w.source, w.output) for w in self._signals.held[:3])

@@ -85,6 +85,18 @@ class Starts(Protocol):
 
 
 @runtime_checkable
+class InTurn(Protocol):
+    """A coupling whose members step one after the other, each with what the others give at that instant (`runtime/in_turn.c`)."""
+
+    repeats: bool
+
+    def groups(self, joined: Joined) -> list[list[int]]:
+        """Places of members among all: those that step at once, in the order in which they step; each of them once in a sweep.
+        Further sweeps, of a coupling that repeats steps, take all members from where the step began."""
+        ...
+
+
+@runtime_checkable
 class Moves(Protocol):
     """A coupling that repeats steps; without it the first trial is the step.
 

@@ -20,9 +20,7 @@ from phfmu.network.couplings import anderson
 from phfmu.network.couplings.acceptance import ITERATIONS, KNOWN
 from phfmu.network.couplings.anderson import Anderson
 from phfmu.network.couplings.compiled.master_pattern import Exchanged, Pattern
-from phfmu.network.couplings.coupling import Coupling, Moves, Solution, Starts
-from phfmu.network.couplings.gauss_seidel import GaussSeidel
-from phfmu.network.couplings.jacobi import Jacobi
+from phfmu.network.couplings.coupling import Coupling, InTurn, Moves, Solution, Starts
 from phfmu.network.couplings.newton import Continuation, Newton
 from phfmu.network.interface.hidden import hidden_part
 from phfmu.network.interface.joined import Joined
@@ -161,10 +159,10 @@ class InTurnSolver(_Remembering):
 
     name, held, iterations, words, failure = "in_turn", True, 1, "", None
 
-    def __init__(self, coupling: GaussSeidel | Jacobi, t: Tables):
+    def __init__(self, coupling: Any, t: Tables):
         self._t, e = t, t.found
         n, nshare = e.nodes, len(e.parts)
-        groups = coupling.groups(t.joined)
+        groups = _sweeps(coupling, t.joined)
         terms = [
             (p.row[r], i, o, v)
             for i, p in enumerate(e.parts)
@@ -261,11 +259,22 @@ def _by_row(n: int, rows: list[Any], width: int) -> tuple[Array, Array]:
     return np.searchsorted(table[:, 0], np.arange(n + 1)), table.T
 
 
-SOLVERS: dict[type, Any] = {
-    Newton: NewtonSolver, Anderson: AndersonSolver, GaussSeidel: InTurnSolver, Jacobi: InTurnSolver,
-}  # fmt: skip
+def _sweeps(coupling: Any, joined: Joined) -> list[list[int]]:
+    """The groups of a coupling in turn; ValueError where they are no sweeps over all members."""
+    groups, n, name = coupling.groups(joined), len(joined.members), type(coupling).__name__
+    every = [i for group in groups for i in group]
+    if not every or any(sorted(every[at : at + n]) != list(range(n)) for at in range(0, len(every), n)):
+        raise ValueError(f"{name}: the groups {groups} do not have each of {n} members once in a sweep")
+    if len(every) > n and not coupling.repeats:
+        raise ValueError(
+            f"{name}: its groups take each member {len(every) // n} times, and it says that it repeats no step"
+        )
+    return groups
+
+
+SOLVERS: dict[type, Any] = {Newton: NewtonSolver, Anderson: AndersonSolver}
 
 
 def solver_of(coupling: Coupling) -> Any:
     """The maker of the solver of a coupling."""
-    return SOLVERS.get(type(coupling), CalledSolver)
+    return InTurnSolver if isinstance(coupling, InTurn) else SOLVERS.get(type(coupling), CalledSolver)

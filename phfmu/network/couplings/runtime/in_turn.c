@@ -1,7 +1,7 @@
-/* Gauss-Seidel's and Jacobi's couplings, which take no step twice. Before a group of members steps, the
- * unknowns are those of the instant (instant.c): of members that have not stepped yet at t, of the others at
- * t + h. They are held. Outputs are those of an instant, not means of a step: lagged by one step, means lose
- * their conjugacy and the coupling is less stable. */
+/* Gauss-Seidel's and Jacobi's couplings, and others that step their members in turn. Before a group of
+ * members steps, the unknowns are those of the instant (instant.c): of members that have not stepped yet at
+ * t, of the others at t + h. They are held. Outputs are those of an instant, not means of a step: lagged by
+ * one step, means lose their conjugacy and the coupling is less stable. */
 #include "in_turn.h"
 
 #include <string.h>
@@ -15,10 +15,12 @@ static void start(ph_master *m, int next) {
     ph_instant_begin(m);
 }
 
-/* A group under z, and what it takes. */
+/* A group under z, and what it takes. The first sweep has every member once, those after it begin where the
+ * step began. */
 static int step(ph_master *m, ph_in_turn *g, int group, double t, double h) {
     const int *which = g->member + g->group[group], n = g->group[group + 1] - g->group[group];
-    const int status = ph_shares_step(m, t, h, PH_GOING_ON, which, n);
+    const ph_from from = g->group[group] < m->nshare ? PH_GOING_ON : PH_FROM_KEPT;
+    const int status = ph_shares_step(m, t, h, from, which, n);
     for (int i = 0; i < n && status == PH_OK; i++) {
         const ph_share *s = &m->shares[which[i]];
         for (int c = 0; c < s->ncol; c++)
