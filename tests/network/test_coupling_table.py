@@ -59,7 +59,8 @@ def test_a_new_row_is_asked_for_by_name(monkeypatch: pytest.MonkeyPatch, capsys:
     assert main(["run", "oscillator", "--coupling", "own", "--unconverged", "halve"]) == 2
     assert "own takes each step once" in capsys.readouterr().err
     assert main(["run", "oscillator", "--coupling", "newton", "--ecco", "0.1"]) == 2
-    assert "add --coupling gauss-seidel or jacobi or own, or leave it out" in capsys.readouterr().err
+    said = capsys.readouterr().err  # pages that the same process ran may have rows of their own
+    assert "add --coupling gauss-seidel or jacobi" in said and "or own, or leave it out" in said
 
 
 def test_the_table_imports_nothing_of_the_package() -> None:
