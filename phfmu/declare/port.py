@@ -79,6 +79,7 @@ class Port:
              work is booked here; None = the input is free
     bound:   algebraic variable that feeds the port from inside a composed network; None = free
     start:   input value before anyone sets it
+    nominal: size of the input, one number or one for each entry: what tests drive it by and couplings scale by
     elements: what the pairs are called in pictures, e.g. ("a", "b", "c") for the phases of a terminal
     """
 
