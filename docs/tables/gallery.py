@@ -30,7 +30,8 @@ Every scene of the library in one picture, with the command that draws it: of th
     python docs/tables gallery --write --picture smib
 
 which take the scenes, and the docstrings that say what they are, from the library, and draw all pictures or one. The sources are
-in `components/scenes`, or beside their component; `phfmu report` makes a whole [page of a run](use/look-at-a-run.md#the-page-of-a-run) of any of them.
+in `components/scenes`, or beside their component; `phfmu report` makes a whole
+[page of a run](use/look-at-a-run.md#the-page-of-a-run) of any of them.
 """
 
 
