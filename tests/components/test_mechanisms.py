@@ -32,9 +32,9 @@ from tests.wide import slow, wide
 G = 9.81
 
 
-def ran(declaration: Any, order: int, step: float, steps: int) -> Any:
+def ran(declaration: Any, order: int, step: float, steps: int, kernels: Any = "auto") -> Any:
     model = build_model(declaration, default_scheme(declaration, order))
-    return run(Monolithic(model, NativeInstance(model)), Options(stop=steps * step, step=step))
+    return run(Monolithic(model, NativeInstance(model, kernels=kernels)), Options(stop=steps * step, step=step))
 
 
 def at(result: Any, name: str, n: int, row: Any = -1) -> np.ndarray:
@@ -53,14 +53,14 @@ def test_pendulum_has_the_period_of_the_elliptic_integral() -> None:
     "n, order, step, most",
     wide(
         [(2, 6, 0.01, 1e-7), (2, 2, 0.002, 1e-3), (2, 6, 0.005, 1e-7), (2, 6, 0.001, 1e-7), (2, 2, 0.001, 1e-3),
-         (2, 2, 0.005, 1e-2), (40, 6, 0.01, 1e-7)],
+         (2, 2, 0.005, 1e-2), (40, 6, 0.005, 1e-7)],
         (2, 6, 0.01, 1e-7),
     ),
 )  # fmt: skip
 def test_four_bar_windows_pass_their_flat_positions(n: int, order: int, step: float, most: float) -> None:
-    """Forty windows do not pass at every step, as docs/results/mechanisms.md tells."""
+    """Forty windows pass by the method of interpreted kernels, and not at every step: docs/results/mechanisms.md."""
     steps = round(20.0 / step)
-    found = ran(four_bar(n), order, step, steps)
+    found = ran(four_bar(n), order, step, steps, "interpreted" if n == 40 else "auto")
     rows = np.arange(0, steps + 1, steps // 400)
     exact = parallel(n, rows * step)
     assert np.abs(np.array([found.column(f"B0[{i}]")[rows] for i in (1, 2)]) - exact).max() <= most
