@@ -65,15 +65,17 @@ class NodeKernels:
     def _joint(self, term: Term) -> list[Spec]:
         args, x = Arguments(term, self.k), term.local[Value.STATE]
         d = args.matrix(increment, x.numel())
-        w, dh = gradients.joint_gonzalez(term.data["H"], x, d, self.nodes)
-        return [self._costates(args, w * term.data["scale"], dh)]
+        w, _ = gradients.joint_gonzalez(term.data["H"], x, d, self.nodes)
+        parts = ca.vertsplit(term.data["parts"])
+        booked = [Spec(0, args.x, args.p, args.y, [], stored=gradients.difference(h, x, d)) for h in parts]
+        return [self._costates(args, w * term.data["scale"]), *booked]
 
     def _loss(self, term: Term, d: ca.SX, w: ca.SX, dh: ca.SX) -> ca.SX | None:
         if not self.loses_energy:
             return None
         return gradients.numerical_loss(term.data["H"], term.local[Value.STATE], d, w, dh, self.nodes)
 
-    def _costates(self, args: Arguments, w: ca.SX, dh: ca.SX, numerical: ca.SX | None = None) -> Spec:
+    def _costates(self, args: Arguments, w: ca.SX, dh: ca.SX | None = None, numerical: ca.SX | None = None) -> Spec:
         out = [(Address(gradient, j, i), 0, w[j, i]) for i in range(self.k) for j in range(w.shape[0])]
         return Spec(0, args.x, args.p, args.y, out, stored=dh, numerical=numerical)
 

@@ -20,13 +20,13 @@ from phfmu.terms.term import ENERGY, JOINT, EnergyForm, Term, Terms
 
 def energies(model: PHDAE, out: Terms, locator: Locator, mass: dict[int, ca.SX], joint: bool) -> None:
     """One term per summand of H, or one per member if `joint`; `mass`: diagonal entries of E by state."""
+    known = {s.element_hash() for v in model.states for s in scalars(v.sx)}
+    parts = [part for whole in model.energies for part in summands(whole, known)]
     if joint:
         for owner in dict.fromkeys(e.owner for e in model.energies):
-            group = [e for e in model.energies if e.owner == owner]
-            _joint(model, out, locator, mass, group)
+            _joint(out, locator, mass, [e for e in parts if e.owner == owner])
         return
-    known = {s.element_hash() for v in model.states for s in scalars(v.sx)}
-    for e in (part for whole in model.energies for part in summands(whole, known)):
+    for e in parts:
         states = _states_of(e.expr, locator)
         if not states:  # a constant moves nothing
             continue
@@ -85,14 +85,19 @@ def _require_kind(model: PHDAE, e: Energy, states: list[tuple[ca.SX, int]]) -> N
         )
 
 
-def _joint(model: PHDAE, out: Terms, locator: Locator, mass: dict[int, ca.SX], group: list[Energy]) -> None:
-    total = ca.SX(0)
-    for e in group:
-        total += e.expr
-    states = _states_of(total, locator)
-    if not states:
+def _joint(out: Terms, locator: Locator, mass: dict[int, ca.SX], group: list[Energy]) -> None:
+    """All energies of a member as one term, whose parts are booked each: their sum may be zero while they move."""
+    parts = [e.expr for e in group if _states_of(e.expr, locator)]
+    if not parts:
         return
-    exprs = {"H": total, "scale": _scale(states, mass), "z": _costates(total, states, mass)}
+    total = sum(parts, ca.SX(0))
+    states = _states_of(total, locator)
+    exprs = {
+        "H": total,
+        "parts": ca.vertcat(*parts),
+        "scale": _scale(states, mass),
+        "z": _costates(total, states, mass),
+    }
     out.terms.append(make_term(JOINT, exprs, locator, "energy",
                                rows=_balances(states), owner=out.member(group[0].owner),
                                extra=[s for s, _ in states]))  # fmt: skip

@@ -26,6 +26,7 @@ from phfmu.components.mechanical.heavy_top import heavy_top
 from phfmu.components.mechanical.mechanisms import andrews, bricard, flyball, pendulum, slider_crank
 from phfmu.components.mechanical.multibody import Mechanism
 from phfmu.components.mechanical.multibody.body import rotation_about
+from phfmu.schemes.named import named_scheme
 from phfmu.studies.stress.mechanisms import bricard_reference
 from tests.wide import slow, wide
 
@@ -47,6 +48,16 @@ def test_pendulum_has_the_period_of_the_elliptic_integral() -> None:
     late = at(found, "P", 2)[0] / (2 * G) ** 0.5  # seconds
     assert abs(late) / 9 * 4 <= 1e-10
     assert at(found, "P", 2)[1] == pytest.approx(-1.0, abs=1e-13)
+
+
+@pytest.mark.parametrize("engine", ["native", "python"])
+def test_a_pendulum_whose_energies_add_up_to_zero_closes_by_the_joint_gradient(engine: str) -> None:
+    """It falls from the height of its zero: H = 0 all the time, and what moves is seen in the parts of H alone."""
+    model = build_model(pendulum(), named_scheme(pendulum(), order=2, gradient="joint-gonzalez"))
+    made = NativeInstance(model) if engine == "native" else PythonInstance(model)
+    found = run(Monolithic(model, made), Options(stop=1.0, step=0.01))
+    moved = np.ptp(found.column("q[2]"))
+    assert moved > 0.5 and found.ledger.summary().closed and np.abs(found.column("energy.stored")).max() < 1e-13
 
 
 @pytest.mark.parametrize(
