@@ -140,7 +140,9 @@ def trajectory(model: Model, stop: float, n: int) -> tuple[Array, float]:
     instance.initialise()
     names = ("x", "stored", "dissipated", "numerical", "supplied", "moved", "pairs", "energy")
     rows = instance.run(0.0, stop / n, n, names)
-    left = np.abs(balance(rows["stored"], rows["dissipated"], rows["supplied"], rows["numerical"])).max(axis=1, initial=0.0)
+    left = np.abs(balance(rows["stored"], rows["dissipated"], rows["supplied"], rows["numerical"])).max(
+        axis=1, initial=0.0
+    )
     size = sum(np.abs(rows[name]).sum(axis=1) for name in ("moved", "dissipated", "pairs", "energy"))
     return rows["x"], float(np.max(left / np.maximum(np.maximum.accumulate(size), 1e-300), initial=0.0))
 
