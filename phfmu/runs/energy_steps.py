@@ -37,6 +37,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.network.couplings.coupled import Coupled
+from phfmu.network.couplings.coupling import solves_rows
 from phfmu.network.couplings.coupling_table import COUPLINGS
 from phfmu.network.couplings.stepper import Stepper
 from phfmu.outcome.status import StepFailure
@@ -92,7 +93,7 @@ class EnergySteps:
         #: members that cannot take a step back; where there is one, no step is taken again
         self.stuck = [m.name for m in joined.members if not m.saves or m.finishes]
         self._again = not self._ecco and not self.stuck
-        self._makes = not coupling.repeats or bool(joined.put_off)
+        self._makes = not solves_rows(coupling) or bool(joined.put_off)
         #: of the residuals in h
         self._order = 2 if self._makes else 3
         self._rule = ECCO if self._ecco else rule(self._order)
@@ -223,8 +224,8 @@ def _ports(stepper: Coupled, junctions: Iterable[str]) -> list[Array]:
 
 def _ecco_fits(stepper: Stepper) -> Coupled:
     """The stepper of a coupling whose junctions make energy."""
-    if not isinstance(stepper, Coupled) or stepper.coupling.repeats:
-        once = " or ".join(row.name for row in COUPLINGS.values() if row.apart and not row.kind.repeats)
+    if not isinstance(stepper, Coupled) or solves_rows(stepper.coupling):
+        once = " or ".join(row.name for row in COUPLINGS.values() if row.apart and not solves_rows(row.kind))
         raise ValueError(f"--ecco follows the energy that junctions make; add --coupling {once}, or leave it out")
     return stepper
 

@@ -57,7 +57,7 @@ def test_a_new_row_is_asked_for_by_name(monkeypatch: pytest.MonkeyPatch, capsys:
     )
     assert "lagged for a test" in (out := capsys.readouterr().out) and "own coupling" in out and len(made) == 1
     assert main(["run", "oscillator", "--coupling", "own", "--unconverged", "halve"]) == 2
-    assert "own takes each step once" in capsys.readouterr().err
+    assert "own does not iterate" in capsys.readouterr().err
     assert main(["run", "oscillator", "--coupling", "newton", "--ecco", "0.1"]) == 2
     said = capsys.readouterr().err  # pages that the same process ran may have rows of their own
     assert "add --coupling gauss-seidel or jacobi" in said and "or own, or leave it out" in said

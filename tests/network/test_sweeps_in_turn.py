@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from phfmu import Coupled, EngineMember, NativeInstance, Network, Options, build_model, run
+from phfmu import Collocated, Coupled, EngineMember, FMUInstance, NativeInstance, Network, Options, build_model, run
+from phfmu.cli import main
 from phfmu.components.mechanical.translational import mass, spring
 from phfmu.derivatives.apart.sensitive_members import SensitiveMembers
+from phfmu.network.as_unit.export import export_network
+from phfmu.network.couplings.coupling_table import COUPLINGS
 from phfmu.network.couplings.gauss_seidel import GaussSeidel
+from phfmu.network.couplings.unit import FMUStepper
 from phfmu.network.interface.instant import Instant
 from phfmu.network.interface.joined import Joined
+from tests.network.test_coupling_choice import mixed
 
 pytestmark = pytest.mark.usefixtures("compiler")
 H, STEPS = 1e-3, 20
@@ -96,3 +103,29 @@ def test_further_sweeps_have_no_derivatives() -> None:
     net = three()
     with pytest.raises(ValueError, match="Twice, which takes each step more than once"):
         SensitiveMembers(Coupled(net, members(net), Twice()), ["a.m"])
+
+
+def test_a_unit_that_cannot_go_back_is_stepped_last_of_two_sweeps(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """No rows are solved, of which its junction could tell a part: what it makes is told whole."""
+    row = replace(COUPLINGS["gauss-seidel"], name="twice", needs="steps back", where=f"{Twice.__module__}.Twice")
+    monkeypatch.setitem(COUPLINGS, "twice", row)
+    assert main(["run", str(mixed(tmp_path, "3.0", saves=False)), "--coupling", "twice", "--stop", "0.05"]) == 0
+    said = capsys.readouterr().out
+    assert "it is stepped last" in said and "loose" in said and "VIOLATED" not in said
+
+
+@pytest.mark.parametrize("version", ["2.0", "3.0"])
+def test_two_sweeps_as_one_unit_have_the_bits_of_the_run(
+    version: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The unit begins where outputs give the junctions, as the run does."""
+    row = replace(COUPLINGS["gauss-seidel"], name="twice", needs="steps back", where=f"{Twice.__module__}.Twice")
+    monkeypatch.setitem(COUPLINGS, "twice", row)
+    net, schemes = three(), {name: Collocated(1) for name in "asb"}
+    (path,) = export_network(net, tmp_path, schemes, (version,), step=H, coupling="twice")
+    want = run(Coupled(net, members(net), Twice()), Options(stop=STEPS * H, step=H)).column("a.q")
+    with FMUInstance(path) as unit:
+        whole = run(FMUStepper(unit), Options(stop=STEPS * H, step=H)).column("a.q")
+    assert whole.tolist() == want.tolist()

@@ -422,7 +422,7 @@ def coupled_members(
             "inside the step of one; export it composed, without --as-unit"
         )
     whole.check_start()
-    if not whole.coupling.repeats:  # whether outputs give the junctions their values
+    if not whole.solves_rows:  # whether outputs give the junctions their values
         whole.prepare(0.0, step)
     return whole, models
 

@@ -14,7 +14,7 @@ from phfmu.engine.record import Grid
 from phfmu.engine.rest_changes import RestChange
 from phfmu.interrupt import Interrupted
 from phfmu.network.couplings.acceptance import HALVED
-from phfmu.network.couplings.coupling import AllSteps, Coupling, Solution, Step, Unconverged
+from phfmu.network.couplings.coupling import AllSteps, Coupling, Solution, Step, Unconverged, solves_rows
 from phfmu.network.couplings.growth import Growth
 from phfmu.network.couplings.landing.landings import landings
 from phfmu.network.couplings.newton import Newton, newton
@@ -84,7 +84,8 @@ class Coupled:
         #: the compiled steps, by the rows that relations have in the modes of switches
         self._masters: dict[bytes, Master] = {}
         self._mode = b""
-        self._works = Works(self.joined, self._exchange, inner.repeats)
+        self.solves_rows = solves_rows(inner)
+        self._works = Works(self.joined, self._exchange, self.solves_rows)
         self.booking = replace(self.joined.booking, loose=not closes, parts=self._works.keys)
         at_nodes = self._exchange.wires if self._exchange else ()
         self._signals = HeldSignals(self.joined, at_nodes, extrapolated=signals != "held")
@@ -303,7 +304,7 @@ class Coupled:
 
     def prepare(self, t0: float, h: float) -> None:
         """Junction values before the first step: those of the instant, and for the iteration those of a trial step;
-        where steps are not repeated, those that the outputs at the start give.
+        where no rows are solved, those that the outputs at the start give.
         """
         if self._growth is not None:
             self._growth.given(self.energies())
@@ -311,7 +312,7 @@ class Coupled:
             self.last = Solution(self._switching.begin(h))
             self._at_start = self.last.xi
             return
-        if not self.coupling.repeats and (self.master.calls or self.joined.put_off):
+        if not self.solves_rows and (self.master.calls or self.joined.put_off):
             self.last = Solution(Instant().solve(self.joined, self.last.xi, t0))
             self.joined.begin(self.last.xi)
             return

@@ -96,6 +96,14 @@ class InTurn(Protocol):
         ...
 
 
+def solves_rows(coupling: Any) -> bool:
+    """Whether a coupling, or a class of them, solves the rows of the junctions, by steps that it takes more than once.
+
+    Those in turn fill no rows, whether they take a step once or in several sweeps; junctions make energy under them.
+    """
+    return bool(coupling.repeats) and not isinstance(coupling, InTurn)
+
+
 @runtime_checkable
 class Moves(Protocol):
     """A coupling that repeats steps; without it the first trial is the step.

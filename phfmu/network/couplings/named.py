@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from phfmu.network.couplings.coupling import Coupling
+from phfmu.network.couplings.coupling import Coupling, solves_rows
 from phfmu.network.couplings.coupling_table import COUPLINGS
 from phfmu.network.couplings.unconverged import POLICIES
 from phfmu.network.interface.joined import Joined
@@ -44,8 +44,8 @@ def named_coupling(
     if sequence is not None and not row.in_turn:
         raise ValueError(f"a sequence of members ({', '.join(sequence)}) is for {', '.join(in_turn)}, not for {name}")
     kind, words = row.kind, f"{name} coupling"
-    if unconverged != "raise" and not kind.repeats:
-        raise ValueError(f"--unconverged {unconverged} is for couplings that iterate; {name} takes each step once")
+    if unconverged != "raise" and not solves_rows(kind):
+        raise ValueError(f"--unconverged {unconverged} is for couplings that iterate; {name} does not iterate")
     make = row.node_maker if row.at_nodes else lambda _: kind()
     if row.in_turn:
         order = kind.sequence_of(network, sequence)

@@ -25,11 +25,11 @@ HELD, START, END, ESTIMATED = "held value", "impulse at start", "impulse at end"
 class Works:
     """The parts of junctions that have more than one: `keys`, empty where there is no such junction.
 
-    `exchange`: of node values, None for one held value each;  `repeats`: whether the coupling takes steps more than once.
+    `exchange`: of node values, None for one held value each;  `solved`: whether the coupling solves the rows.
     """
 
-    def __init__(self, joined: Joined, exchange: Exchange | None, repeats: bool):
-        self._found = _of_unknowns(joined, exchange) if repeats else []
+    def __init__(self, joined: Joined, exchange: Exchange | None, solved: bool):
+        self._found = _of_unknowns(joined, exchange) if solved else []
         self._at = {junction: i for i, junction in enumerate(joined.face.sums)}
         self._choose(self._found)
 
