@@ -20,7 +20,8 @@ from phfmu.components.scenes.smib import smib
 from phfmu.components.scenes.two_machine import two_machine
 from phfmu.network.couplings.coupled import Coupled
 from phfmu.network.couplings.stepper import Stepper
-from phfmu.studies.bench import apart, machine
+from phfmu.studies.bench import machine
+from phfmu.studies.bench.apart import networks as apart
 
 ROUNDS = 15
 KEPT = ("none", "summary", "full")

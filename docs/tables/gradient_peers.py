@@ -19,7 +19,7 @@ from pages import DOCS, Array, Made, table
 from phfmu import Collocated, Event, NativeInstance, Options, RunFunction, build_model
 from phfmu.components.electrical import synchronous_machine
 from phfmu.studies.bench.machine import load, processor, versions
-from phfmu.studies.bench.reduced import Reduced, live_values, reduced
+from phfmu.studies.bench.precision.reduced import Reduced, live_values, reduced
 
 TURNS, STOP = 5, 0.2
 NAMES = ("J", "d", "ra", "xl", "xd", "xd1", "Td10", "xd2", "Td20", "xq", "xq2", "Tq20", "M_f")

@@ -13,7 +13,7 @@ from peers import cheapest, draw_panels, measured_in_turns, remarks
 from phfmu.studies.bench import machine
 from phfmu.studies.bench.power.cases import CASES, GridCase
 from phfmu.studies.bench.power.dpsim import FOURTH
-from phfmu.studies.bench.work_precision import Row, Table
+from phfmu.studies.bench.precision.work_precision import Row, Table
 
 TURNS = 3  # of which the median counts
 LEVELS = (1e-2, 1e-3, 1e-4)

@@ -11,11 +11,11 @@ from pages import Made, nothing, table
 from peers import cheapest, draw_panels, measured_in_turns, remarks
 
 from phfmu.studies.bench import machine
-from phfmu.studies.bench.candidate import Candidate
 from phfmu.studies.bench.mechanisms import exudyn_models, ida, mujoco_models, opensim_models
 from phfmu.studies.bench.mechanisms.case import Case
 from phfmu.studies.bench.mechanisms.cases import CASES, IFTOMM
-from phfmu.studies.bench.work_precision import Table
+from phfmu.studies.bench.precision.candidate import Candidate
+from phfmu.studies.bench.precision.work_precision import Table
 
 TURNS = 5  # of which the median counts
 #: errors at which costs are compared

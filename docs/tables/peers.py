@@ -10,10 +10,10 @@ from typing import TypeVar
 from pages import DOCS
 
 from phfmu.studies.bench import machine
-from phfmu.studies.bench.candidate import Candidate
-from phfmu.studies.bench.problem import Compared
-from phfmu.studies.bench.report import draw_lines
-from phfmu.studies.bench.work_precision import Row, Table, cost_at, measure
+from phfmu.studies.bench.precision.candidate import Candidate
+from phfmu.studies.bench.precision.problem import Compared
+from phfmu.studies.bench.precision.report import draw_lines
+from phfmu.studies.bench.precision.work_precision import Row, Table, cost_at, measure
 
 Measured = TypeVar("Measured", bound=Compared)
 

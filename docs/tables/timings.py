@@ -25,9 +25,9 @@ def numbers(text: str) -> tuple[float, ...]:
 
 def work_precision(target: str, steps: str, errors: str, stop: float, repeat: int, peers: tuple[str, ...]) -> Made:
     """One comparison of `phfmu bench`: rows, ratios at equal errors, machine; its picture."""
-    from phfmu.studies.bench.problem import problem_of
-    from phfmu.studies.bench.report import write_png
-    from phfmu.studies.bench.run import Choice, compare
+    from phfmu.studies.bench.precision.problem import problem_of
+    from phfmu.studies.bench.precision.report import write_png
+    from phfmu.studies.bench.precision.run import Choice, compare
 
     problem = problem_of(member(target) or scene(target), times=(1.0,), stop=stop, judged=("q",))
     choice = Choice(steps=numbers(steps), errors=numbers(errors), repeat=repeat, peers=peers)

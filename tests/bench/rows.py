@@ -10,8 +10,8 @@ from phfmu import Scene
 from phfmu.components.library import build
 from phfmu.declare.phdae import PHDAE
 from phfmu.network.network import Network
-from phfmu.studies.bench.peers import Functions
-from phfmu.studies.bench.problem import Problem
+from phfmu.studies.bench.precision.peers import Functions
+from phfmu.studies.bench.precision.problem import Problem
 
 REFERENCE = Path(__file__).parents[1] / "reference"
 
@@ -33,7 +33,7 @@ def rows(name: str) -> dict[float, np.ndarray]:
 
 
 def solved(p: Problem) -> Problem:
-    from phfmu.studies.bench.peers import solve_reference
+    from phfmu.studies.bench.precision.peers import solve_reference
 
     solve_reference(p, Functions(p))
     return p

@@ -12,12 +12,12 @@ from phfmu.components.mechanical.four_particle import four_particle
 from phfmu.components.scenes.two_machine import two_machine
 from phfmu.declare.block import block
 from phfmu.declare.phdae import PHDAE
-from phfmu.studies.bench import own
-from phfmu.studies.bench.candidate import Candidate, NotAvailable, Run
-from phfmu.studies.bench.peers import Functions, _Scipy
-from phfmu.studies.bench.problem import Judged, Problem, problem_of
-from phfmu.studies.bench.reduced import reduced
-from phfmu.studies.bench.work_precision import Row, Table, cost_at, costs_at, front, measure
+from phfmu.studies.bench.precision import own
+from phfmu.studies.bench.precision.candidate import Candidate, NotAvailable, Run
+from phfmu.studies.bench.precision.peers import Functions, _Scipy
+from phfmu.studies.bench.precision.problem import Judged, Problem, problem_of
+from phfmu.studies.bench.precision.reduced import reduced
+from phfmu.studies.bench.precision.work_precision import Row, Table, cost_at, costs_at, front, measure
 from tests.bench.rows import REFERENCE, declaration, rows, solved
 from tests.wide import wide
 

@@ -14,10 +14,10 @@ from phfmu import Scene
 from phfmu.cli import FINE, USAGE, main
 from phfmu.components.library import LIBRARY
 from phfmu.components.mechanical.four_particle import four_particle
-from phfmu.studies.bench.candidate import NotAvailable
 from phfmu.studies.bench.families import FAMILIES, member
-from phfmu.studies.bench.problem import Problem, problem_of
-from phfmu.studies.bench.work_precision import measure
+from phfmu.studies.bench.precision.candidate import NotAvailable
+from phfmu.studies.bench.precision.problem import Problem, problem_of
+from phfmu.studies.bench.precision.work_precision import measure
 from tests.bench.rows import declaration, rows, solved
 
 # -- the command --------------------------------------------------------------------------------------------------------
@@ -82,7 +82,7 @@ def test_bad_usage(words: list[str], said: str, tmp_path: Path, capsys: pytest.C
 def test_ida_on_the_stabilised_index_2_form(compiler: None) -> None:
     """Four particles against the independent solution: errors of the tolerance, both constraint levels held."""
     pytest.importorskip("sksundae")
-    from phfmu.studies.bench import sundae
+    from phfmu.studies.bench.precision import sundae
 
     p = problem_of(Scene("four_particle", four_particle(), 0.1, 0.01), times=(0.05, 0.1), judged=("q",))
     p.reference = np.array([rows("four_particle")[0.1][:24]] * 2)  # only the second row is judged below
@@ -97,7 +97,7 @@ def test_ida_on_the_stabilised_index_2_form(compiler: None) -> None:
 def test_mujoco_converges_to_the_chain_of_the_declaration(compiler: None) -> None:
     """RK4 in hinge coordinates: the same motion in positions and velocities, order 4."""
     pytest.importorskip("mujoco")
-    from phfmu.studies.bench import mujoco_chain
+    from phfmu.studies.bench.precision import mujoco_chain
 
     p = solved(problem_of(member("chain:2"), times=(0.4,), stop=0.4))  # type: ignore[arg-type]
     found = {c.value: c.prepare()([0.4]).x for c in mujoco_chain.candidates(p, 2) if c.method.endswith("RK4")}
@@ -109,7 +109,7 @@ def exudyn_errors(p: Problem, steps: tuple[float, ...]) -> dict[str, list[float]
     """Errors of q at the stop time by method, the largest step first; every run is repeated and must not change."""
     if find_spec("exudyn") is None:
         pytest.skip("exudyn is not installed: pip install exudyn")
-    from phfmu.studies.bench import exudyn_particles
+    from phfmu.studies.bench.precision import exudyn_particles
 
     errors: dict[str, list[float]] = {}
     for c in exudyn_particles.candidates(p):
@@ -144,7 +144,7 @@ def test_exudyn_converges_to_the_chain_of_the_declaration(links: int, compiler: 
 
 
 def test_a_peer_that_is_not_installed_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    from phfmu.studies.bench import exudyn_particles, mujoco_chain, sundae
+    from phfmu.studies.bench.precision import exudyn_particles, mujoco_chain, sundae
 
     for module in (exudyn_particles, mujoco_chain, sundae):
         monkeypatch.setattr(module, "find_spec", lambda name: None)
@@ -159,7 +159,7 @@ def test_a_peer_that_is_not_installed_is_one_line(monkeypatch: pytest.MonkeyPatc
 
 
 def test_an_exudyn_with_other_names_of_settings_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
-    from phfmu.studies.bench import exudyn_particles
+    from phfmu.studies.bench.precision import exudyn_particles
 
     monkeypatch.setattr(exudyn_particles, "find_spec", lambda name: object())
     monkeypatch.setattr(exudyn_particles.metadata, "version", lambda name: "1.9.83")

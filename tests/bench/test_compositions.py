@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 from phfmu import Collocated, DeclarationError, NativeInstance, PythonInstance, TwoLevel, build_model
 from phfmu.components.library import build
 from phfmu.components.mechanical.chain import chain
-from phfmu.studies.bench.compositions import KAHAN_LI, SUZUKI, Composed
+from phfmu.studies.bench.precision.compositions import KAHAN_LI, SUZUKI, Composed
 from tests.engines import ENGINES
 from tests.wide import slow
 

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from phfmu.network.couplings.coupled import Coupled
-from phfmu.studies.bench import apart, coupling, crews, own_time
+from phfmu.studies.bench.apart import coupling, crews, own_time
+from phfmu.studies.bench.apart import networks as apart
 from tests.network.both_loops import called_back
 
 

@@ -10,13 +10,13 @@ from importlib.util import find_spec
 import numpy as np
 import pytest
 
-from phfmu.studies.bench.candidate import NotAvailable
 from phfmu.studies.bench.mechanisms import described, exudyn_models, ida, mujoco_models, opensim_models
 from phfmu.studies.bench.mechanisms.case import Case
 from phfmu.studies.bench.mechanisms.cases import CASES, IFTOMM
 from phfmu.studies.bench.mechanisms.lagrange import lagrange_of
 from phfmu.studies.bench.power import circuit, dpsim
 from phfmu.studies.bench.power.kundur import Kundur
+from phfmu.studies.bench.precision.candidate import NotAvailable
 
 
 @cache

@@ -9,7 +9,7 @@ import pytest
 from phfmu.checks import run_values
 from phfmu.checks.run_values import check_values, sound_members
 from phfmu.components.mechanical.translational import damper, mass
-from phfmu.studies.bench.coupling import star
+from phfmu.studies.bench.apart.coupling import star
 
 
 def test_each_kind_is_looked_at_once(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -33,7 +33,7 @@ from phfmu.network.couplings.newton import Newton
 from phfmu.network.couplings.unconverged import POLICIES
 from phfmu.outcome.status import Status
 from phfmu.outcome.steps import Steps
-from phfmu.studies.bench import coupling as coupling_bench
+from phfmu.studies.bench.apart import coupling as coupling_bench
 from tests.network.both_loops import SAME, called_back, members
 from tests.network.test_master import BOOKS, pulled
 from tests.network.unit_members import MIXED, unit_members

@@ -38,8 +38,8 @@ from phfmu.network.couplings.unconverged import Halving
 from phfmu.network.interface.joined import Joined
 from phfmu.outcome.steps import Steps
 from phfmu.signals import CONSTRAINT
-from phfmu.studies.bench import apart as apart_bench
-from phfmu.studies.bench import coupling as coupling_bench
+from phfmu.studies.bench.apart import coupling as coupling_bench
+from phfmu.studies.bench.apart import networks as apart_bench
 from tests.network.both_loops import SAME, called_back, members
 from tests.wide import slow, wide
 

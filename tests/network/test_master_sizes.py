@@ -23,8 +23,8 @@ from phfmu.components.mechanical.translational import mass, spring
 from phfmu.network.couplings.compiled.master_pattern import Pattern, exchanged
 from phfmu.network.couplings.newton import newton
 from phfmu.network.interface.joined import Joined
-from phfmu.studies.bench import apart as apart_bench
-from phfmu.studies.bench import coupling as coupling_bench
+from phfmu.studies.bench.apart import coupling as coupling_bench
+from phfmu.studies.bench.apart import networks as apart_bench
 from tests.network.both_loops import SAME, members
 from tests.wide import wide
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from phfmu.studies.bench.apart import composed, instances, joined, planned
-from phfmu.studies.bench.crews import chains
+from phfmu.studies.bench.apart.crews import chains
+from phfmu.studies.bench.apart.networks import composed, instances, joined, planned
 
 
 @pytest.mark.parametrize(("members", "links", "h"), [(2, 20, 1e-3), (2, 20, 1e-4), (4, 100, 1e-4)])

@@ -116,7 +116,7 @@ def _coupling(args: argparse.Namespace) -> int:
     from pathlib import Path
 
     from phfmu.cli.codes import FINE
-    from phfmu.studies.bench.coupling import page, table
+    from phfmu.studies.bench.apart.coupling import page, table
 
     with Line() as progress:
         text = page(progress) if args.output else table(_names(args.families), progress)
@@ -202,8 +202,8 @@ def _compare(args: argparse.Namespace) -> int:
     from phfmu.cli.codes import FINE
     from phfmu.cli.settings import settings
     from phfmu.studies.bench.families import member
-    from phfmu.studies.bench.problem import problem_of
-    from phfmu.studies.bench.run import TOLERANCES, Choice, compare, known_peers, write
+    from phfmu.studies.bench.precision.problem import problem_of
+    from phfmu.studies.bench.precision.run import TOLERANCES, Choice, compare, known_peers, write
     from phfmu.target import scene
 
     if args.repeat < 1:

@@ -13,7 +13,7 @@ import numpy as np
 
 from phfmu.studies.bench.compile_cost import compiler_seconds, fresh_cache
 from phfmu.studies.bench.families import FAMILIES, Family
-from phfmu.studies.bench.own import solver_iterations
+from phfmu.studies.bench.precision.own import solver_iterations
 
 if TYPE_CHECKING:
     from phfmu.engine.build.codegen import KernelTable

@@ -13,12 +13,12 @@ from phfmu.declare.phdae import PHDAE
 from phfmu.declare.variable import time
 from phfmu.engine.build.machine_code import compiled
 from phfmu.network.scene import Scene
-from phfmu.studies.bench import own
-from phfmu.studies.bench.candidate import Candidate, Run, Solve
-from phfmu.studies.bench.compiled import Buffered
 from phfmu.studies.bench.mechanisms.assembly import Array, Assembly
 from phfmu.studies.bench.mechanisms.lagrange import Lagrange, lagrange_of
-from phfmu.studies.bench.problem import Judged, problem_of
+from phfmu.studies.bench.precision import own
+from phfmu.studies.bench.precision.candidate import Candidate, Run, Solve
+from phfmu.studies.bench.precision.compiled import Buffered
+from phfmu.studies.bench.precision.problem import Judged, problem_of
 
 #: schemes by order; with holonomic constraints there is none of order 4
 SCHEMES = {2: "two-level:2", 6: "two-level:6"}

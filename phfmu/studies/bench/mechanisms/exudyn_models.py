@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from phfmu.studies.bench.candidate import Candidate, Run, missing
-from phfmu.studies.bench.exudyn_particles import fixed_steps, implicit, library, obstacle
 from phfmu.studies.bench.mechanisms.assembly import GROUND, Array, Assembly, Link, frame_along
 from phfmu.studies.bench.mechanisms.case import Case
+from phfmu.studies.bench.precision.candidate import Candidate, Run, missing
+from phfmu.studies.bench.precision.exudyn_particles import fixed_steps, implicit, library, obstacle
 
 
 def candidates(case: Case) -> Iterator[Candidate]:

@@ -16,10 +16,10 @@ import casadi as ca
 import numpy as np
 
 from phfmu.engine.build.machine_code import compiled
-from phfmu.studies.bench.candidate import Candidate, Run, missing
-from phfmu.studies.bench.compiled import Buffered
 from phfmu.studies.bench.mechanisms.case import Case
 from phfmu.studies.bench.mechanisms.lagrange import Array, Lagrange
+from phfmu.studies.bench.precision.candidate import Candidate, Run, missing
+from phfmu.studies.bench.precision.compiled import Buffered
 
 
 def candidates(case: Case) -> Iterator[Candidate]:

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.engine.build.machine_code import compiled
-from phfmu.studies.bench.compiled import Buffered
 from phfmu.studies.bench.mechanisms.assembly import GROUND, Assembly, Link, cross_matrix
+from phfmu.studies.bench.precision.compiled import Buffered
 
 Array = NDArray[np.float64]
 #: relative tolerances of the reference; the distance of its solutions is its uncertainty

@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from phfmu.studies.bench.candidate import Candidate, Run, missing
 from phfmu.studies.bench.mechanisms.assembly import GROUND, Array, Assembly, Link
 from phfmu.studies.bench.mechanisms.case import Case
+from phfmu.studies.bench.precision.candidate import Candidate, Run, missing
 
 #: moment [kg.m2] that thin rods and point masses get, which MuJoCo wants positive
 LEAST = 1e-12

@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from phfmu.studies.bench.candidate import Candidate, NotAvailable, Run, missing
 from phfmu.studies.bench.mechanisms.assembly import Array, Assembly, Link, frame_along
 from phfmu.studies.bench.mechanisms.case import Case
 from phfmu.studies.bench.mechanisms.mujoco_models import anchors
+from phfmu.studies.bench.precision.candidate import Candidate, NotAvailable, Run, missing
 
 RUN = Path(__file__).with_name("opensim_run.py")
 VARIABLE = "PHFMU_OPENSIM"

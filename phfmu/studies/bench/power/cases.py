@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from phfmu.discretise.model import Model
 from phfmu.network.network import Network
-from phfmu.studies.bench.candidate import Candidate, Run, Solve, missing
 from phfmu.studies.bench.power import circuit, dpsim, own
 from phfmu.studies.bench.power.kundur import Kundur
-from phfmu.studies.bench.problem import Judged
+from phfmu.studies.bench.precision.candidate import Candidate, Run, Solve, missing
+from phfmu.studies.bench.precision.problem import Judged
 
 Array = NDArray[np.float64]
 #: rows are compared at multiples of this [s], of which every step is a part

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.engine.build.machine_code import compiled
-from phfmu.studies.bench.compiled import Buffered
 from phfmu.studies.bench.power.circuit import (
     ALPHA,
     C_LINE,
@@ -30,6 +29,7 @@ from phfmu.studies.bench.power.circuit import (
     phases,
     power_flow,
 )
+from phfmu.studies.bench.precision.compiled import Buffered
 
 Array = NDArray[np.float64]
 

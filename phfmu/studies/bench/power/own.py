@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from phfmu.discretise.model import Model, build_model
 from phfmu.network.network import Network
 from phfmu.network.scene import Event
-from phfmu.studies.bench.candidate import Run
 from phfmu.studies.bench.power import circuit
+from phfmu.studies.bench.precision.candidate import Run
 
 Array = NDArray[np.float64]
 

@@ -61,7 +61,7 @@ def own_time(stepper: Coupled, h: float) -> OwnTime:
 
 def native(network: Network, k: int, h: float, coupling: Coupling | None = None) -> OwnTime:
     """The times of native members, by default at nodes."""
-    from phfmu.studies.bench.apart import instances, joined, planned
+    from phfmu.studies.bench.apart.networks import instances, joined, planned
 
     return own_time(joined(network, instances(planned(network, k)), coupling=coupling), h)
 

@@ -8,7 +8,7 @@ from statistics import median
 from time import perf_counter
 from typing import TYPE_CHECKING
 
-from phfmu.studies.bench.apart import composed, instances, joined, planned
+from phfmu.studies.bench.apart.networks import composed, instances, joined, planned
 
 if TYPE_CHECKING:
     from phfmu.network.couplings.stepper import Stepper

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from phfmu.studies.bench.candidate import Candidate, Run, missing
-from phfmu.studies.bench.problem import Problem
+from phfmu.studies.bench.precision.candidate import Candidate, Run, missing
+from phfmu.studies.bench.precision.problem import Problem
 
 STEPS = (0.02, 0.01, 0.005, 0.002)
 

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.engine.build.machine_code import compiled
-from phfmu.studies.bench.candidate import Candidate, NotAvailable, Run
-from phfmu.studies.bench.compiled import Buffered
-from phfmu.studies.bench.problem import Problem
+from phfmu.studies.bench.precision.candidate import Candidate, NotAvailable, Run
+from phfmu.studies.bench.precision.compiled import Buffered
+from phfmu.studies.bench.precision.problem import Problem
 
 Array = NDArray[np.float64]
 

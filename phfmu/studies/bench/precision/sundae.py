@@ -17,11 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.engine.build.machine_code import compiled
-from phfmu.studies.bench.candidate import Candidate, Run, missing
-from phfmu.studies.bench.compiled import Buffered
-from phfmu.studies.bench.peers import absolute
-from phfmu.studies.bench.problem import Problem
-from phfmu.studies.bench.reduced import Reduced, stabilised
+from phfmu.studies.bench.precision.candidate import Candidate, Run, missing
+from phfmu.studies.bench.precision.compiled import Buffered
+from phfmu.studies.bench.precision.peers import absolute
+from phfmu.studies.bench.precision.problem import Problem
+from phfmu.studies.bench.precision.reduced import Reduced, stabilised
 
 Array = NDArray[np.float64]
 

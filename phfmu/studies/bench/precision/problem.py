@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from phfmu.declare.phdae import PHDAE
 from phfmu.network.scene import Event, Scene
-from phfmu.studies.bench.reduced import Reduced, live_values, reduced
+from phfmu.studies.bench.precision.reduced import Reduced, live_values, reduced
 
 Array = NDArray[np.float64]
 

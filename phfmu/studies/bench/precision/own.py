@@ -12,9 +12,9 @@ from phfmu.discretise.model import Model, build_model
 from phfmu.network.members.inputs import Inputs
 from phfmu.outcome.steps import balance
 from phfmu.schemes.named import named_scheme
-from phfmu.studies.bench.candidate import Candidate, Run
-from phfmu.studies.bench.compositions import COMPOSITIONS, Composed, Composition
-from phfmu.studies.bench.problem import Problem
+from phfmu.studies.bench.precision.candidate import Candidate, Run
+from phfmu.studies.bench.precision.compositions import COMPOSITIONS, Composed, Composition
+from phfmu.studies.bench.precision.problem import Problem
 
 Array = NDArray[np.float64]
 

@@ -9,8 +9,8 @@ from time import process_time
 import numpy as np
 
 from phfmu.outcome.status import StepFailure
-from phfmu.studies.bench.candidate import Candidate, NotAvailable
-from phfmu.studies.bench.problem import Compared, Judged
+from phfmu.studies.bench.precision.candidate import Candidate, NotAvailable
+from phfmu.studies.bench.precision.problem import Compared, Judged
 
 #: CPU seconds after which a row is not timed again
 LONG = 3.0

@@ -9,9 +9,9 @@ from statistics import median
 from time import thread_time
 from typing import TYPE_CHECKING, Any
 
-from phfmu.studies.bench import own_time
-from phfmu.studies.bench.apart import composed, instances, joined, planned
-from phfmu.studies.bench.own_time import OwnTime
+from phfmu.studies.bench.apart import own_time
+from phfmu.studies.bench.apart.networks import composed, instances, joined, planned
+from phfmu.studies.bench.apart.own_time import OwnTime
 
 if TYPE_CHECKING:
     from phfmu.network.couplings.stepper import Stepper
@@ -183,7 +183,7 @@ NETWORKS = {"ring": ring, "star": star}
 
 def table(scenes: Sequence[str] = (), progress: Callable[[str], None] = lambda _: None) -> str:
     """Tables in Markdown."""
-    from phfmu.studies.bench import crews
+    from phfmu.studies.bench.apart import crews
     from phfmu.studies.bench.machine import load, processor
     from phfmu.target import scene
 

@@ -8,8 +8,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from phfmu.studies.bench.problem import Compared, Problem
-from phfmu.studies.bench.work_precision import Row, Table, costs_at
+from phfmu.studies.bench.precision.problem import Compared, Problem
+from phfmu.studies.bench.precision.work_precision import Row, Table, costs_at
 
 FLOOR = 1e-17  # zero on a logarithmic axis
 

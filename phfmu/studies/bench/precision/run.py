@@ -8,10 +8,11 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
-from phfmu.studies.bench import exudyn_particles, machine, mujoco_chain, own, peers, report, sundae
-from phfmu.studies.bench.candidate import Candidate
-from phfmu.studies.bench.problem import Problem
-from phfmu.studies.bench.work_precision import Table, measure
+from phfmu.studies.bench import machine
+from phfmu.studies.bench.precision import exudyn_particles, mujoco_chain, own, peers, report, sundae
+from phfmu.studies.bench.precision.candidate import Candidate
+from phfmu.studies.bench.precision.problem import Problem
+from phfmu.studies.bench.precision.work_precision import Table, measure
 
 TOLERANCES = (1e-3, 1e-4, 1e-6, 1e-8, 1e-10)
 #: default steps in multiples of the scene's step

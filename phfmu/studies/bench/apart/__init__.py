@@ -1,0 +1,1 @@
+"""Members stepped apart beside the composed model: cost, what joins them, threads."""
