@@ -15,9 +15,9 @@ from pages import Made, table
 from phfmu import Collocated, Monolithic, NativeInstance, Options, Scene, build_model, default_scheme, run
 from phfmu.audit import AuditWriter
 from phfmu.components.mechanical.four_particle import four_particle
-from phfmu.components.scenes.oscillator import oscillator
-from phfmu.components.scenes.smib import smib
-from phfmu.components.scenes.two_machine import two_machine
+from phfmu.components.scenes.electrical.smib import smib
+from phfmu.components.scenes.electrical.two_machine import two_machine
+from phfmu.components.scenes.mechanical.oscillator import oscillator
 from phfmu.network.couplings.coupled import Coupled
 from phfmu.network.couplings.stepper import Stepper
 from phfmu.studies.bench import machine

@@ -17,7 +17,7 @@ from pages import DOCS, ROOT, Array, Made, slopes, table
 
 from phfmu import Collocated, Monolithic, NativeInstance, Options, Scene, build_model, run
 from phfmu.components.grids import grid_model
-from phfmu.components.scenes.grids import ieee39, new_england, public_grid, wecc240
+from phfmu.components.scenes.electrical.grids import ieee39, new_england, public_grid, wecc240
 from phfmu.derivatives.steady_steps import steady_steps
 from phfmu.operating import NetworkPoint
 from phfmu.runs.result import Result
@@ -38,7 +38,7 @@ def grid_power_flows() -> Made:
     rows = []
     for name in ("wscc9", "new_england", "ieee39", "wecc240"):
         if name == "wscc9":
-            module: Any = import_module("phfmu.components.scenes.wscc9")  # the module, not its function
+            module: Any = import_module("phfmu.components.scenes.electrical.wscc9")  # the module, not its function
             point = module._point("dq-flux")
             flow = json.loads((ROOT / "tests" / "operating" / "wscc9_power_flow.json").read_text())
             base = {b: module.PLANTS[b][2] if b in module.PLANTS else module.VOLTAGE for b in flow}
@@ -89,7 +89,7 @@ def grid_steady() -> Made:
     """`wscc9_steady` after 1 s, turned back to the start: largest difference of a state relative to its amplitude, from the
     operating point of the equations and from where the steps stay."""
     rows = []
-    point: Any = import_module("phfmu.components.scenes.wscc9")._point("dq-flux")
+    point: Any = import_module("phfmu.components.scenes.electrical.wscc9")._point("dq-flux")
     for k, step in ((1, 1e-4), (1, 5e-5), (2, 1e-4), (2, 5e-5), (3, 2e-4), (3, 1e-4)):
         found = steady_steps(point, Collocated(k), step)
         moved = f"{found.omega / point.omega - 1.0:.1e}"

@@ -9,9 +9,9 @@ from networks import at, kirchhoff, monolithic, newton, worst
 from pages import Array, Made, reference, slopes, table
 
 from phfmu import Scene
-from phfmu.components.scenes.oscillator import oscillator
-from phfmu.components.scenes.smib import smib, smib_folded
-from phfmu.components.scenes.two_machine import two_machine
+from phfmu.components.scenes.electrical.smib import smib, smib_folded
+from phfmu.components.scenes.electrical.two_machine import two_machine
+from phfmu.components.scenes.mechanical.oscillator import oscillator
 from phfmu.runs.result import Result
 
 

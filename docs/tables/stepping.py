@@ -9,8 +9,8 @@ from pages import Made, table
 
 from phfmu import Collocated, Monolithic, NativeInstance, Options, build_model, default_scheme, run
 from phfmu.components.mechanical.four_particle import four_particle
-from phfmu.components.scenes.smib import smib
-from phfmu.components.scenes.two_machine import two_machine
+from phfmu.components.scenes.electrical.smib import smib
+from phfmu.components.scenes.electrical.two_machine import two_machine
 from phfmu.schemes.scheme import Scheme
 
 

@@ -17,7 +17,7 @@ from phfmu.audit.booking import PROJECTION
 from phfmu.audit.kinds import Quality
 from phfmu.audit.summing import sums
 from phfmu.components.mechanical.four_particle import four_particle
-from phfmu.components.scenes.smib import smib
+from phfmu.components.scenes.electrical.smib import smib
 from phfmu.declare.phdae import PHDAE
 from phfmu.outcome.steps import Steps
 from phfmu.runs.book import Book

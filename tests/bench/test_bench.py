@@ -9,7 +9,7 @@ import pytest
 from phfmu import NativeInstance, Scene, algebraic, build_model, damping, energy, skew, state
 from phfmu.components.library import LIBRARY, SWITCHED, build
 from phfmu.components.mechanical.four_particle import four_particle
-from phfmu.components.scenes.two_machine import two_machine
+from phfmu.components.scenes.electrical.two_machine import two_machine
 from phfmu.declare.block import block
 from phfmu.declare.phdae import PHDAE
 from phfmu.studies.bench.precision import own

@@ -11,7 +11,7 @@ import pytest
 from phfmu import NativeInstance, build_model
 from phfmu.cli import FINE, USAGE, main
 from phfmu.components.mechanical.net import net
-from phfmu.components.scenes.ladder import ladder
+from phfmu.components.scenes.electrical.ladder import ladder
 from phfmu.engine.build.codegen import kernel_table
 from phfmu.engine.model import kernels
 from phfmu.studies.bench.families import FAMILIES

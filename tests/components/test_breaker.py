@@ -29,7 +29,7 @@ from phfmu import (
     time,
 )
 from phfmu.components.electrical.breaker import ideal_diode
-from phfmu.components.scenes.breaker_opening import breaker_opening
+from phfmu.components.scenes.electrical.breaker_opening import breaker_opening
 from tests.wide import wide
 
 E, W, PHI, R, L, C, LOAD = 325.0, 2 * pi * 50, 0.3, 0.5, 0.01, 50e-6, 40.0

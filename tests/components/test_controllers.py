@@ -31,7 +31,7 @@ from phfmu import (
 )
 from phfmu.components.control import bases, exac1, gast, hygov, ieeest, ieeex1, meter, pss1a, sexs, st1a, tgov1
 from phfmu.components.electrical import infinite_bus, machine_set, rl_line, synchronous_machine
-from phfmu.components.scenes.island import island, smib_exciter
+from phfmu.components.scenes.electrical.island import island, smib_exciter
 from phfmu.network.junction import ConnectionError
 from phfmu.operating import PV, NoOperatingPoint, operating_point
 from tests.network.governed import apart

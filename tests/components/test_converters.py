@@ -30,7 +30,7 @@ from phfmu.cli import main
 from phfmu.components.electrical.sources import voltage_source
 from phfmu.components.electrical.switches import ideal_switch
 from phfmu.components.library import SWITCHED, build
-from phfmu.components.scenes.buck import buck
+from phfmu.components.scenes.electrical.buck import buck
 from tests.wide import slow
 
 RS, LS, RL, LL, E, W = 0.05, 2e-3, 5.0, 20e-3, 100.0, 2 * pi * 50

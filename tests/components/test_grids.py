@@ -17,7 +17,7 @@ from phfmu.cli import main
 from phfmu.components.electrical.capacitors import capacitor_network
 from phfmu.components.grids import Fault, GridModel, Trip, fault_of, grid_model, grid_scene, trip_of
 from phfmu.components.grids.lattice import lattice
-from phfmu.components.scenes.grids import public_grid, wecc240
+from phfmu.components.scenes.electrical.grids import public_grid, wecc240
 from phfmu.importers.grid import Demand, Dynamics, Grid, GridError, Line, Shunt, Transformer, read_raw, with_dynamics
 from tests.wide import wide
 

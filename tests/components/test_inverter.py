@@ -19,7 +19,7 @@ from phfmu import (
     run,
 )
 from phfmu.components.electrical import grid_following_inverter, infinite_bus, load
-from phfmu.components.scenes.network_events import weak_grid
+from phfmu.components.scenes.electrical.network_events import weak_grid
 from phfmu.operating import PQ, operating_point
 
 V, S, W = 20e3, 10e6, 100.0 * np.pi

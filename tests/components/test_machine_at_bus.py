@@ -8,7 +8,7 @@ from reference_tools import read
 
 from phfmu import Collocated, NativeInstance, Options, build_model, check, run
 from phfmu.components.electrical import machine_at_bus, machine_names, machine_set, steady_state, synchronous_machine
-from phfmu.components.scenes.smib import smib_folded
+from phfmu.components.scenes.electrical.smib import smib_folded
 from phfmu.network.couplings.monolithic import Monolithic
 from tests.wide import wide
 

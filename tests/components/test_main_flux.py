@@ -367,7 +367,7 @@ def test_a_grid_uses_its_saturation_where_asked_and_tells_it_otherwise():
     from dataclasses import replace
 
     from phfmu.components.grids import grid_model
-    from phfmu.components.scenes.grids import public_grid
+    from phfmu.components.scenes.electrical.grids import public_grid
 
     grid = public_grid("ieee39")
     iron = [replace(d, values={**d.values, "S1": 0.1, "S12": 0.4}) if d.model == "GENROU" else d for d in grid.dynamics]

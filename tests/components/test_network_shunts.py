@@ -21,7 +21,7 @@ from phfmu.components.electrical import (
     thevenin_source,
     two_winding_transformer,
 )
-from phfmu.components.scenes.network_events import inrush, short_circuit
+from phfmu.components.scenes.electrical.network_events import inrush, short_circuit
 from phfmu.operating import operating_point
 from tests.components.orders import orders, steps
 from tests.components.test_network_parts import PEAK, F, V, W, phasor

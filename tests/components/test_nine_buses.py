@@ -23,7 +23,7 @@ from phfmu import (
     export,
     run,
 )
-from phfmu.components.scenes.wscc9 import LINES, PLANTS, VOLTAGE, machine_of, wscc9, wscc9_trip
+from phfmu.components.scenes.electrical.wscc9 import LINES, PLANTS, VOLTAGE, machine_of, wscc9, wscc9_trip
 from phfmu.fmu.importer.reader import FMUInstance
 from tests.components.phase_coordinates import PhaseMachine, integrated
 from tests.wide import slow

@@ -14,7 +14,7 @@ import pytest
 from phfmu import Monolithic, NativeInstance, Options, PythonInstance, build_model, default_scheme, open_result, run
 from phfmu.cli import main
 from phfmu.components.mechanical.mechanisms.ur5 import FLANGE, JOINTS, LINKS, ur5
-from phfmu.components.scenes.robot_arm import robot_arm
+from phfmu.components.scenes.mechanical.robot_arm import robot_arm
 from tests.wide import longer, wide
 
 NAMES = [name for name, *_ in JOINTS]

@@ -10,9 +10,9 @@ from reference_tools import read
 
 from phfmu import Collocated, NativeInstance, Options, Scene, build_model, run
 from phfmu.components.scenes.drive import drive
-from phfmu.components.scenes.oscillator import oscillator
-from phfmu.components.scenes.smib import smib, smib_hydro
-from phfmu.components.scenes.two_machine import two_machine
+from phfmu.components.scenes.electrical.smib import smib, smib_hydro
+from phfmu.components.scenes.electrical.two_machine import two_machine
+from phfmu.components.scenes.mechanical.oscillator import oscillator
 from phfmu.network.couplings.coupled import Coupled
 from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.network.members.engine_member import EngineMember

@@ -7,7 +7,7 @@ import pytest
 
 from phfmu import Collocated, Monolithic, NativeInstance, Options, build_model, run
 from phfmu.components.electrical.machines.machine_data import machine_set
-from phfmu.components.scenes.single_machine import lossless, spin_down, stall_start
+from phfmu.components.scenes.electrical.single_machine import lossless, spin_down, stall_start
 from tests.components.phase_coordinates import ANGLES, PhaseMachine, integrated
 from tests.wide import wide
 

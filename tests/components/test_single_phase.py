@@ -29,7 +29,7 @@ from phfmu.components.electrical import (
     thevenin_source,
     two_winding_transformer,
 )
-from phfmu.components.scenes.network_events import ferroresonance
+from phfmu.components.scenes.electrical.network_events import ferroresonance
 from phfmu.studies.stress import iron
 from tests.components.orders import orders
 from tests.components.test_network_shunts import current

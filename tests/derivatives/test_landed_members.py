@@ -24,8 +24,8 @@ from phfmu import (
 )
 from phfmu.cli import main
 from phfmu.components.mechanical.translational import mass
-from phfmu.components.scenes.breaker_opening import breaker_opening
-from phfmu.components.scenes.stops import buffer
+from phfmu.components.scenes.electrical.breaker_opening import breaker_opening
+from phfmu.components.scenes.mechanical.stops import buffer
 from phfmu.derivatives.apart.sensitive_members import SensitiveMembers
 from phfmu.derivatives.sensitive import SensitiveSteps
 from phfmu.network.couplings.newton import newton

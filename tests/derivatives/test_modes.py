@@ -15,7 +15,7 @@ import phfmu as ph
 from phfmu import NativeInstance, Options, PythonInstance, build_model, run
 from phfmu.cli import main
 from phfmu.components.library import build
-from phfmu.components.scenes.smib import smib_folded
+from phfmu.components.scenes.electrical.smib import smib_folded
 from phfmu.derivatives.modes import modes_at
 from phfmu.network.couplings.monolithic import Monolithic
 from tests.wide import wide

@@ -19,9 +19,9 @@ from phfmu import (
 from phfmu.components.electrical.machines.machine_data import machine_set
 from phfmu.components.mechanical.four_particle import four_particle
 from phfmu.components.mechanical.translational import mass
-from phfmu.components.scenes.oscillator import oscillator
-from phfmu.components.scenes.smib import smib
-from phfmu.components.scenes.two_machine import two_machine
+from phfmu.components.scenes.electrical.smib import smib
+from phfmu.components.scenes.electrical.two_machine import two_machine
+from phfmu.components.scenes.mechanical.oscillator import oscillator
 
 
 def joined(v1: float, v2: float, m1: float = 1.0, m2: float = 2.0):

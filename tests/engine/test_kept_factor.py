@@ -10,7 +10,7 @@ import pytest
 
 from phfmu import TRANSLATIONAL, Collocated, NativeInstance, Port, PythonInstance, build_model
 from phfmu.components.mechanical.net import net
-from phfmu.components.scenes.wscc9 import wscc9_steady
+from phfmu.components.scenes.electrical.wscc9 import wscc9_steady
 from phfmu.engine.build.derived import factor_values
 
 H = 1e-3

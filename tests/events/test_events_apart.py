@@ -31,7 +31,7 @@ from phfmu.components.electrical.switches import diode
 from phfmu.components.library import build
 from phfmu.components.mechanical.contacts import bumper
 from phfmu.components.mechanical.translational import mass
-from phfmu.components.scenes.breaker_opening import breaker_opening
+from phfmu.components.scenes.electrical.breaker_opening import breaker_opening
 from phfmu.engine.switched import stepped
 from phfmu.fmu.export.variables import FMUError
 from phfmu.network.couplings.gauss_seidel import GaussSeidel

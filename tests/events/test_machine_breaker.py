@@ -23,7 +23,7 @@ from phfmu.components.electrical.breaker import breaker
 from phfmu.components.electrical.machines.machine_data import machine_set
 from phfmu.components.electrical.machines.synchronous_machine import synchronous_machine
 from phfmu.components.library import build
-from phfmu.components.scenes.smib import circuit
+from phfmu.components.scenes.electrical.smib import circuit
 from phfmu.runs.result import Result
 
 OPEN = 0.005

@@ -30,8 +30,8 @@ from phfmu import (
     state,
     time,
 )
-from phfmu.components.scenes.buck import buck
-from phfmu.components.scenes.rectifier import rectifier
+from phfmu.components.scenes.electrical.buck import buck
+from phfmu.components.scenes.electrical.rectifier import rectifier
 from tests.events.exact_buck import F, exact
 
 

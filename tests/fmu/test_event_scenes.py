@@ -17,7 +17,7 @@ from phfmu import Collocated, FMUInstance, NativeInstance, SwitchedInstance, bui
 from phfmu.cli import main
 from phfmu.components.electrical.rectifiers import six_pulse_bridge
 from phfmu.components.library import build
-from phfmu.components.scenes.buck import buck
+from phfmu.components.scenes.electrical.buck import buck
 from phfmu.fmu.export import sources
 from phfmu.fmu.importer.refusal import UnitFailure
 from tests.events.exact_buck import exact

@@ -33,8 +33,8 @@ from phfmu import (
 )
 from phfmu.cli import main
 from phfmu.components.mechanical.translational import mass
-from phfmu.components.scenes.bouncing_ball import bouncing_ball
-from phfmu.components.scenes.breaker_opening import breaker_opening
+from phfmu.components.scenes.electrical.breaker_opening import breaker_opening
+from phfmu.components.scenes.mechanical.bouncing_ball import bouncing_ball
 from phfmu.fmu.export import sources
 from phfmu.fmu.export.description import Unit
 from phfmu.fmu.export.schedule import UnitEvent, fed_inside

@@ -28,7 +28,7 @@ from phfmu import (
 from phfmu.components.electrical.rectifiers import rectifier_bridge
 from phfmu.components.electrical.switches import diode, ideal_switch
 from phfmu.components.mechanical.translational import mass
-from phfmu.components.scenes.rectifier import rectifier
+from phfmu.components.scenes.electrical.rectifier import rectifier
 from phfmu.fmu.export import sources
 from phfmu.fmu.export.description import Unit
 from phfmu.fmu.export.schedule import UnitEvent

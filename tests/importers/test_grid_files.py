@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from phfmu.components.grids import grid_model
-from phfmu.components.scenes.grids import public_grid
+from phfmu.components.scenes.electrical.grids import public_grid
 from phfmu.importers.grid import Grid, GridError, from_pandapower, read_grid, read_matpower, read_raw, with_dynamics
 from phfmu.operating import PV
 

@@ -29,8 +29,8 @@ from phfmu import (
 from phfmu.components.electrical.machines.synchronous_machine import machine_at_bus
 from phfmu.components.electrical.sources import voltage_source
 from phfmu.components.mechanical.torque_source import torque_source
-from phfmu.components.scenes.smib import circuit, smib
-from phfmu.components.scenes.speed_control import speed_control
+from phfmu.components.scenes.electrical.smib import circuit, smib
+from phfmu.components.scenes.mechanical.speed_control import speed_control
 from phfmu.network.members.member import Member
 from phfmu.network.scene import Event
 from tests.network.both_loops import called_back

@@ -25,9 +25,9 @@ from phfmu import (
 )
 from phfmu.components.mechanical.translational import damper, mass, spring
 from phfmu.components.scenes.drive import drive
-from phfmu.components.scenes.oscillator import oscillator
-from phfmu.components.scenes.smib import smib
-from phfmu.components.scenes.two_machine import two_machine
+from phfmu.components.scenes.electrical.smib import smib
+from phfmu.components.scenes.electrical.two_machine import two_machine
+from phfmu.components.scenes.mechanical.oscillator import oscillator
 from phfmu.network.couplings.coupling import Coupling
 from phfmu.network.couplings.newton import Newton
 from phfmu.network.couplings.unconverged import POLICIES

@@ -23,7 +23,7 @@ from phfmu import (
     build_model,
 )
 from phfmu.components.mechanical.translational import mass, spring
-from phfmu.components.scenes.speed_control import speed_control
+from phfmu.components.scenes.mechanical.speed_control import speed_control
 from phfmu.network.couplings.coupling import Coupling
 from phfmu.network.couplings.newton import Newton
 from tests.network.both_loops import called_back

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from phfmu import Collocated, Coupled, EngineMember, NativeInstance, build_model
-from phfmu.components.scenes.smib import smib
+from phfmu.components.scenes.electrical.smib import smib
 from phfmu.network.couplings.newton import newton
 from phfmu.network.members.interpolant import Interpolant
 

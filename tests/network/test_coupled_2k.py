@@ -32,8 +32,8 @@ from phfmu import (
     state,
 )
 from phfmu.components.mechanical.translational import mass, spring
-from phfmu.components.scenes.smib import smib
-from phfmu.components.scenes.two_machine import two_machine
+from phfmu.components.scenes.electrical.smib import smib
+from phfmu.components.scenes.electrical.two_machine import two_machine
 from phfmu.network.couplings.coupling import Solution
 from phfmu.network.couplings.newton import Continuation, newton
 from phfmu.network.couplings.unconverged import Accepting

@@ -35,8 +35,8 @@ from phfmu import (
 )
 from phfmu.cli import main
 from phfmu.components.electrical.rl_line import rl_line
-from phfmu.components.scenes.smib import smib
-from phfmu.components.scenes.two_machine import two_machine
+from phfmu.components.scenes.electrical.smib import smib
+from phfmu.components.scenes.electrical.two_machine import two_machine
 from phfmu.fmu.importer.reader import FMUInstance
 from phfmu.network.couplings.apart import Apart
 from phfmu.network.interface.exchange import Exchange

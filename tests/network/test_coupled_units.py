@@ -31,10 +31,10 @@ from phfmu import (
 from phfmu.cli import main
 from phfmu.components.electrical.rl_line import rl_line
 from phfmu.components.mechanical.translational import mass
-from phfmu.components.scenes.ladder import ladder
-from phfmu.components.scenes.oscillator import oscillator
-from phfmu.components.scenes.smib import smib
-from phfmu.components.scenes.two_machine import two_machine
+from phfmu.components.scenes.electrical.ladder import ladder
+from phfmu.components.scenes.electrical.smib import smib
+from phfmu.components.scenes.electrical.two_machine import two_machine
+from phfmu.components.scenes.mechanical.oscillator import oscillator
 from phfmu.fmu.importer.reader import FMUInstance
 from phfmu.network.members.consistent import InconsistentState
 from phfmu.network.members.fmu_member import FMUMember
@@ -257,7 +257,7 @@ def test_a_scene_of_units_keeps_their_order(tmp_path: Path, capsys: Any) -> None
         )
     scene = tmp_path / "scene.py"
     scene.write_text(
-        "from phfmu import Network, Scene\nfrom phfmu.components.scenes.smib import smib\n"
+        "from phfmu import Network, Scene\nfrom phfmu.components.scenes.electrical.smib import smib\n"
         "def mixed(line=False):\n    own, net = smib().system, Network('mixed')\n"
         "    net.add('gen', 'gen_fmi3.fmu')\n    net.add('line', 'line_fmi3.fmu' if line else own.members['line'])\n"
         "    net.add('grid', own.members['grid'])\n    for j in own.junctions:\n"

@@ -89,7 +89,7 @@ def test_the_polynomial_ends_where_the_step_ends(engine, order):
 
 @pytest.mark.slow
 def test_adaptive_and_restarted_steps_have_rows_within_them_too():
-    from phfmu.components.scenes.two_machine import two_machine
+    from phfmu.components.scenes.electrical.two_machine import two_machine
 
     scene = two_machine()
     s = stepper(scene.declaration(), Collocated(2), NativeInstance)

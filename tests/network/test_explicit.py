@@ -13,8 +13,8 @@ import pytest
 from phfmu import Coupled, EngineMember, NativeInstance, Network, Options, StepFailure, build_model, run
 from phfmu.cli import main
 from phfmu.components.mechanical.translational import damper, mass, spring
-from phfmu.components.scenes.oscillator import oscillator
-from phfmu.components.scenes.smib import smib
+from phfmu.components.scenes.electrical.smib import smib
+from phfmu.components.scenes.mechanical.oscillator import oscillator
 from phfmu.network.couplings.gauss_seidel import GaussSeidel, usual_sequence
 from phfmu.network.couplings.jacobi import Jacobi
 from phfmu.outcome.status import Status

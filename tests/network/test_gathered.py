@@ -26,9 +26,9 @@ from phfmu import (
 )
 from phfmu.cli import main
 from phfmu.components.mechanical.translational import mass, spring
-from phfmu.components.scenes.ladder import ladder
-from phfmu.components.scenes.oscillator import oscillator
-from phfmu.components.scenes.speed_control import speed_control
+from phfmu.components.scenes.electrical.ladder import ladder
+from phfmu.components.scenes.mechanical.oscillator import oscillator
+from phfmu.components.scenes.mechanical.speed_control import speed_control
 from phfmu.engine.switched import stepped
 from phfmu.network.couplings.gathered import composed_members, gathered
 from phfmu.network.couplings.gauss_seidel import GaussSeidel

@@ -27,10 +27,10 @@ from phfmu import (
 )
 from phfmu.components.mechanical.translational import mass, spring
 from phfmu.components.scenes.drive import drive
-from phfmu.components.scenes.ladder import ladder
-from phfmu.components.scenes.oscillator import oscillator
-from phfmu.components.scenes.smib import smib
-from phfmu.components.scenes.two_machine import two_machine
+from phfmu.components.scenes.electrical.ladder import ladder
+from phfmu.components.scenes.electrical.smib import smib
+from phfmu.components.scenes.electrical.two_machine import two_machine
+from phfmu.components.scenes.mechanical.oscillator import oscillator
 from phfmu.network.couplings.compiled.threads import worth
 from phfmu.network.couplings.coupling import Coupling
 from phfmu.network.couplings.newton import Newton, newton

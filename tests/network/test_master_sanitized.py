@@ -55,7 +55,7 @@ from dataclasses import replace
 from itertools import cycle
 import numpy as np
 from phfmu import Collocated, Coupled, EngineMember, FMUInstance, FMUMember, NativeInstance, PythonInstance, build_model, export
-from phfmu.components.scenes.smib import smib
+from phfmu.components.scenes.electrical.smib import smib
 from tests.network.test_master_sanitized import refused
 net = smib().system
 for k in (1, 2):

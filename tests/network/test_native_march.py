@@ -28,7 +28,7 @@ from phfmu import (
     state,
 )
 from phfmu.components.library import build
-from phfmu.components.scenes.two_machine import two_machine
+from phfmu.components.scenes.electrical.two_machine import two_machine
 from phfmu.discretise.model import Model
 from phfmu.engine.switched import stepped
 from phfmu.runs.adaptive import ToleranceMissed

@@ -24,9 +24,9 @@ from phfmu.components.electrical.rl_line import rl_line
 from phfmu.components.electrical.rlc_load import rlc_load
 from phfmu.components.mechanical.translational import mass, spring
 from phfmu.components.scenes.drive import drive
-from phfmu.components.scenes.oscillator import oscillator
-from phfmu.components.scenes.smib import smib
-from phfmu.components.scenes.two_machine import two_machine
+from phfmu.components.scenes.electrical.smib import smib
+from phfmu.components.scenes.electrical.two_machine import two_machine
+from phfmu.components.scenes.mechanical.oscillator import oscillator
 from phfmu.fmu.importer.reader import FMUInstance
 from phfmu.network.couplings.coupled import Coupled
 from phfmu.network.couplings.monolithic import Monolithic

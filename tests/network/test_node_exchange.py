@@ -25,8 +25,8 @@ from phfmu.components.electrical.infinite_bus import infinite_bus
 from phfmu.components.electrical.resistor import resistor
 from phfmu.components.electrical.rl_line import rl_line
 from phfmu.components.mechanical.translational import mass, spring
-from phfmu.components.scenes.oscillator import oscillator
-from phfmu.components.scenes.smib import smib
+from phfmu.components.scenes.electrical.smib import smib
+from phfmu.components.scenes.mechanical.oscillator import oscillator
 from phfmu.network.interface.interface import interface
 from tests.wide import wide
 

@@ -172,7 +172,7 @@ def test_units_of_this_package_are_told_so_too(version: str, coupling: str, monk
 def test_the_compiled_master_tells_so(tmp_path: Path, kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
     import ctypes
 
-    from phfmu.components.scenes.oscillator import oscillator
+    from phfmu.components.scenes.mechanical.oscillator import oscillator
 
     more = [ctypes.c_int] if kind == "fmi2" else [ctypes.c_bool, *[ctypes.c_void_p] * 4]
     plain = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_double, ctypes.c_double, *more)

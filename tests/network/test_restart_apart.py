@@ -22,7 +22,7 @@ from phfmu import (
 )
 from phfmu.cli import main
 from phfmu.components.library import build
-from phfmu.components.scenes.breaker_opening import breaker_opening
+from phfmu.components.scenes.electrical.breaker_opening import breaker_opening
 from phfmu.network.couplings.anderson import Anderson
 from phfmu.network.couplings.newton import newton
 from phfmu.network.couplings.unconverged import Halving

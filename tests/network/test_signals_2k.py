@@ -27,7 +27,7 @@ from phfmu import (
     signal_input,
     state,
 )
-from phfmu.components.scenes.speed_control import speed_control
+from phfmu.components.scenes.mechanical.speed_control import speed_control
 from phfmu.network.members.member import Member
 from phfmu.network.scene import Event
 from tests.network.governed import (

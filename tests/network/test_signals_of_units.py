@@ -26,7 +26,7 @@ from phfmu import (
     run,
 )
 from phfmu.cli import main
-from phfmu.components.scenes.speed_control import speed_control
+from phfmu.components.scenes.mechanical.speed_control import speed_control
 from phfmu.network.couplings.apart import Apart
 from phfmu.network.junction import ConnectionError
 from phfmu.network.members.member import Member
@@ -122,7 +122,7 @@ def test_units_from_the_command_line_find_each_others_signals(compiler: None, tm
     """A controller and an actuator exported alone, with `--node-inputs`, in a network with a rotor: order 4."""
     source = tmp_path / "parts.py"
     source.write_text(
-        "from phfmu.components.scenes.speed_control import speed_control as s\n"
+        "from phfmu.components.scenes.mechanical.speed_control import speed_control as s\n"
         "def controller():\n    return s().system.declared['controller']\n"
         "def actuator():\n    return s().system.declared['actuator']\n"
     )

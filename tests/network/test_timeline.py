@@ -103,7 +103,7 @@ def test_times_that_differ_by_rounding_are_one() -> None:
 
 def test_damping_steps_that_were_not_taken_are_counted() -> None:
     """H = 1/2 psi^T L(theta)^-1 psi is not quadratic in abc: Radau steps that would gain energy are told."""
-    from phfmu.components.scenes.smib import smib
+    from phfmu.components.scenes.electrical.smib import smib
 
     scene = smib(coordinates="abc-flux")
     model = build_model(scene.declaration())

@@ -17,7 +17,7 @@ from phfmu import (
     build_model,
     export,
 )
-from phfmu.components.scenes.oscillator import oscillator
+from phfmu.components.scenes.mechanical.oscillator import oscillator
 from phfmu.fmu.importer.access import Access
 from tests.network.both_loops import SAME, called_back
 from tests.wide import slow
@@ -99,7 +99,7 @@ from phfmu import Coupled, FMUInstance
 from phfmu.outcome.steps import Steps
 from phfmu.fmu.importer.access import Access
 from phfmu.network.members.fmu_member import FMUMember
-from phfmu.components.scenes.oscillator import oscillator
+from phfmu.components.scenes.mechanical.oscillator import oscillator
 functions = Access.functions
 def of(self, names):
     found = functions(self, names)

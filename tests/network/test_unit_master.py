@@ -12,11 +12,11 @@ from phfmu import (
 )
 from phfmu.components.mechanical.contacts import bumper
 from phfmu.components.scenes.drive import drive
-from phfmu.components.scenes.oscillator import oscillator
-from phfmu.components.scenes.smib import smib
-from phfmu.components.scenes.speed_control import speed_control
-from phfmu.components.scenes.stops import buffer
-from phfmu.components.scenes.two_machine import two_machine
+from phfmu.components.scenes.electrical.smib import smib
+from phfmu.components.scenes.electrical.two_machine import two_machine
+from phfmu.components.scenes.mechanical.oscillator import oscillator
+from phfmu.components.scenes.mechanical.speed_control import speed_control
+from phfmu.components.scenes.mechanical.stops import buffer
 from phfmu.network.members.fmu_member import FMUMember
 from phfmu.outcome.steps import Steps
 from phfmu.signals import CONSTRAINT

@@ -38,7 +38,7 @@ from phfmu import (
     time,
 )
 from phfmu.components.control.pi_controller import pi_controller
-from phfmu.components.scenes.speed_control import speed_control
+from phfmu.components.scenes.mechanical.speed_control import speed_control
 from phfmu.network.junction import ConnectionError
 
 STOP = 0.5

@@ -24,14 +24,14 @@ from phfmu.components.electrical import (
     synchronous_machine,
 )
 from phfmu.components.mechanical.torque_source import torque_source
-from phfmu.components.scenes.smib import circuit, smib
+from phfmu.components.scenes.electrical.smib import circuit, smib
 from phfmu.derivatives.steady_steps import steady_steps
 from phfmu.operating import PQ, PV, Load, NoOperatingPoint, Slack, operating_point
 from phfmu.operating.rotation import Equations
 from phfmu.results.file import open_result
 
 W = 120 * pi
-wscc9: Any = import_module("phfmu.components.scenes.wscc9")  # the module, not the function of that name
+wscc9: Any = import_module("phfmu.components.scenes.electrical.wscc9")  # the module, not the function of that name
 FLOW = json.loads((Path(__file__).parent / "wscc9_power_flow.json").read_text())
 
 

@@ -24,8 +24,8 @@ from phfmu.components.electrical.machines.machine_init import steady_state
 from phfmu.components.electrical.machines.synchronous_machine import synchronous_machine
 from phfmu.components.electrical.rl_line import rl_line
 from phfmu.components.electrical.sources import balanced_current_source
-from phfmu.components.scenes.smib import smib
-from phfmu.components.scenes.two_machine import two_machine
+from phfmu.components.scenes.electrical.smib import smib
+from phfmu.components.scenes.electrical.two_machine import two_machine
 from phfmu.discretise.start import project_start
 from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.runs.loop import run

@@ -10,7 +10,7 @@ from phfmu.components.mechanical.chain import chain
 from phfmu.components.mechanical.four_particle import four_particle
 from phfmu.components.mechanical.mechanisms.bricard import bricard
 from phfmu.components.mechanical.net import net
-from phfmu.components.scenes.two_machine import two_machine
+from phfmu.components.scenes.electrical.two_machine import two_machine
 from phfmu.discretise import model as discretised
 from phfmu.terms.canonical import Locator
 

@@ -27,7 +27,7 @@ from phfmu.components.electrical.rl_line import rl_line
 from phfmu.components.electrical.rlc_load import rlc_load
 from phfmu.components.electrical.switch import fault_resistor
 from phfmu.components.mechanical.four_particle import four_particle
-from phfmu.components.scenes.smib import smib
+from phfmu.components.scenes.electrical.smib import smib
 from phfmu.fmu.importer.reader import FMUInstance
 from phfmu.schemes.scheme import Scheme
 from phfmu.terms.condense import Condensed, condensed

@@ -36,7 +36,7 @@ def net(n: int) -> PHDAE:
 
 
 def ladder(n: int) -> PHDAE:
-    from phfmu.components.scenes.ladder import ladder
+    from phfmu.components.scenes.electrical.ladder import ladder
 
     return ladder(n).declaration()
 

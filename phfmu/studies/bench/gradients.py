@@ -79,7 +79,7 @@ def links(n: int) -> PHDAE:
 def built(case: Case) -> tuple[Model, float]:
     """The model, and the step of its scene."""
     from phfmu.components.mechanical.chain import chain
-    from phfmu.components.scenes.ladder import ladder
+    from phfmu.components.scenes.electrical.ladder import ladder
     from phfmu.discretise.model import build_model, default_scheme
     from phfmu.target import scene
 

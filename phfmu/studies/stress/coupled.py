@@ -45,7 +45,7 @@ def stiff(k: float) -> Outcome:
 
 def period(ratio: float) -> Outcome:
     """The oscillator at a step of `ratio` times its fastest period (1/3 s)."""
-    from phfmu.components.scenes.oscillator import oscillator
+    from phfmu.components.scenes.mechanical.oscillator import oscillator
 
     r = record(instance(oscillator().declaration()), ratio / 3.0, 1000)
     accurate = "accurate" if ratio < 0.05 else "no accuracy at this step"

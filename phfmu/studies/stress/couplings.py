@@ -40,7 +40,7 @@ def left(summary: Any) -> float:
 
 
 def oscillator() -> Any:
-    from phfmu.components.scenes.oscillator import oscillator as scene
+    from phfmu.components.scenes.mechanical.oscillator import oscillator as scene
 
     return scene().system
 

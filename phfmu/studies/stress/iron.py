@@ -45,7 +45,7 @@ def energised(residual: float, h: float = 1e-4) -> Outcome:
 
 def rates(phase: float) -> Callable[[float, np.ndarray], list[float]]:
     """The circuit in currents, voltages and a flux: (i of the source, v of the cable, i and v over the capacitor, v, flux)."""
-    from phfmu.components.scenes.network_events import IRON
+    from phfmu.components.scenes.electrical.network_events import IRON
 
     V, S, w = 20e3 / sqrt(3.0), 1e6 / 3.0, 100.0 * pi
     Z = V**2 / 20e6

@@ -56,7 +56,7 @@ def driven(
 
 def switched(resistance: float, phases: int) -> Outcome:
     """The two-machine scene with a fault of `resistance` ohm on some phases."""
-    from phfmu.components.scenes.two_machine import two_machine
+    from phfmu.components.scenes.electrical.two_machine import two_machine
     from phfmu.network.couplings.monolithic import Monolithic
     from phfmu.network.scene import Event
     from phfmu.runs.loop import run

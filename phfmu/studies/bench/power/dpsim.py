@@ -78,7 +78,7 @@ def _base(Sn: float, Vn: float, H: float) -> dict[str, float]:
 
 def nine_buses(t_clear: float, stop: float) -> dict[str, Any]:
     """The nine buses with machines of order 4, fault of 1 ohm at bus 7 from 0.1 s on."""
-    from phfmu.components.scenes.wscc9 import BASE, FREQUENCY, LINES, LOADS, MACHINES, PLANTS, VOLTAGE
+    from phfmu.components.scenes.electrical.wscc9 import BASE, FREQUENCY, LINES, LOADS, MACHINES, PLANTS, VOLTAGE
 
     w, Z = 2 * np.pi * FREQUENCY, VOLTAGE**2 / BASE
     buses = {b: VOLTAGE for b in "456789"} | {k: rated for k, (_, _, rated, _, _) in PLANTS.items()}

@@ -70,7 +70,15 @@ def nine_buses() -> Network:
     """The nine buses of the library from their operating point, each transformer's leakage folded into its machine."""
     from phfmu.components.electrical.machines.machine_init import steady_state
     from phfmu.components.electrical.machines.synchronous_machine import machine_at_bus
-    from phfmu.components.scenes.wscc9 import BASE, FREQUENCY, LINES, PLANTS, VOLTAGE, machine_of, wscc9_steady
+    from phfmu.components.scenes.electrical.wscc9 import (
+        BASE,
+        FREQUENCY,
+        LINES,
+        PLANTS,
+        VOLTAGE,
+        machine_of,
+        wscc9_steady,
+    )
 
     found = wscc9_steady().system
     assert isinstance(found, Network)

@@ -9,7 +9,7 @@ from phfmu.components.grids import Fault, Trip, grid_scene
 from phfmu.components.grids.lattice import lattice
 from phfmu.importers.grid import Grid, read_grid
 
-DATA = Path(__file__).parent.parent / "grids" / "data"
+DATA = Path(__file__).parents[2] / "grids" / "data"
 
 
 def public_grid(name: str) -> Grid:
