@@ -91,8 +91,8 @@ def block(variables: Sequence[Variable | Port], matrix: Any, *, factor: Any = No
     on, value = tuple(variables), ca.SX(_sx(matrix))
     if factor is None:
         return Block(on, value, owner)
-    g, n = ca.SX(_sx(factor)), sum(v.n for v in on)
-    value = coefficient(value, g.shape[0], g.shape[0])
+    g, n = ca.sparsify(ca.SX(_sx(factor))), sum(v.n for v in on)
+    value = ca.sparsify(coefficient(value, g.shape[0], g.shape[0]))
     if g.shape[1] != n or value.shape != (g.shape[0], g.shape[0]):
         raise DeclarationError(
             f"block on {', '.join(v.name for v in on)}",
