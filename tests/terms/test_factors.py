@@ -181,7 +181,7 @@ def test_new_coordinates_keep_the_factor():
     back = {v: ca.vertcat(s.sx - w.sx / 2, s.sx + w.sx / 2)}
     new = SystemTransformation(back, (s, w), U=ca.jacobian(back[v], ca.vertcat(s.sx, w.sx)))(model)
     (given,) = new.dissipation
-    assert given.factor is not None and given.variables == (s, w)
+    assert given.factor is not None and [v.name for v in given.variables] == ["s", "w"]
     assert given.factor[:, :2].nnz() == 0 and given.factor[:, 2:].nnz() == 2
     old, now = (PythonInstance(build_model(d)).run(0.0, 0.05, 10, ("x", "dissipated")) for d in (model, new))
     assert np.abs(now["dissipated"] - old["dissipated"]).max() <= 1e-13
