@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
 
+from phfmu.declare.coefficients import coefficient
+from phfmu.declare.error import DeclarationError
 from phfmu.declare.port import Port
 from phfmu.declare.variable import Variable, _sx
 
@@ -23,20 +26,82 @@ class Block:
 
     and H' = -[z; u]^T W [z; u] + y^T u, passive if W is positive semidefinite.
     Source: Mehrmann, Unger, Acta Numerica 32 (2023), Definition 4.1.
+
+    value:   the n x n block, or with a factor the r x r matrix between it and its transpose
+    factor:  None, or G (r x n): the block is G^T value G.  One of R acts by G z then, and its entries are never formed:
+             f = -G^T (W (G z)), and the power it takes is (G z)^T W (G z), which is not negative whatever G is
     """
 
     variables: tuple[Variable | Port, ...]
-    matrix: ca.SX
+    value: ca.SX
     owner: str = ""
+    factor: ca.SX | None = None
+
+    @cached_property
+    def matrix(self) -> ca.SX:
+        """Its entries, n x n."""
+        return self.value if self.factor is None else ca.mtimes([self.factor.T, self.value, self.factor])
+
+    @cached_property
+    def pattern(self) -> ca.DM:
+        """Where its entries are not zero by their structure."""
+        one = ca.DM(self.value.sparsity(), 1.0)
+        if self.factor is None:
+            return one
+        outer = ca.DM(self.factor.sparsity(), 1.0)
+        return ca.mtimes([outer.T, one, outer])
+
+    @property
+    def n(self) -> int:
+        """Its number of rows."""
+        return (self.value if self.factor is None else self.factor).shape[1]
+
+    @property
+    def parts(self) -> list[ca.SX]:
+        """The expressions that it is made of."""
+        return [self.value] if self.factor is None else [self.value, self.factor]
 
     def mapped(self, image: Callable[[Any], Any]) -> Block:
         """A copy on the images of its variables and ports."""
         return replace(self, variables=tuple(map(image, self.variables)))
 
+    def changed(self, change: Callable[[ca.SX], ca.SX]) -> Block:
+        """A copy with other expressions."""
+        return replace(self, value=change(self.value), factor=None if self.factor is None else change(self.factor))
 
-def block(variables: Sequence[Variable | Port], matrix: Any, *, owner: str = "") -> Block:
-    """A block of R (symmetric, positive semidefinite) or J (skew) on the stacked `variables` and ports."""
-    return Block(tuple(variables), ca.SX(_sx(matrix)), owner)
+    def on(self, rows: Sequence[int]) -> Block:
+        """A copy with those entries only that stand in these rows and columns."""
+        if self.factor is not None:
+            factor = ca.SX(*self.factor.shape)
+            factor[:, rows] = self.factor[:, rows]
+            return replace(self, factor=ca.sparsify(factor))
+        value = ca.SX(*self.value.shape)
+        value[rows, rows] = self.value[rows, rows]
+        return replace(self, value=ca.sparsify(value))
+
+
+def block(variables: Sequence[Variable | Port], matrix: Any, *, factor: Any = None, owner: str = "") -> Block:
+    """A block of R (symmetric, positive semidefinite) or J (skew) on the stacked `variables` and ports.
+
+    factor:  G (r x n), the block is G^T matrix G: of a damper the row of the rate G z that it brakes, its `matrix` the
+             coefficient.  A number is that multiple of the r x r identity then
+
+    Errors: DeclarationError if the shapes of factor, matrix and variables do not fit.
+    """
+    on, value = tuple(variables), ca.SX(_sx(matrix))
+    if factor is None:
+        return Block(on, value, owner)
+    g, n = ca.sparsify(ca.SX(_sx(factor))), sum(v.n for v in on)
+    value = ca.sparsify(coefficient(value, g.shape[0], g.shape[0]))
+    if g.shape[1] != n or value.shape != (g.shape[0], g.shape[0]):
+        raise DeclarationError(
+            f"block on {', '.join(v.name for v in on)}",
+            f"its factor is {g.shape[0]} x {g.shape[1]} and its matrix {value.shape[0]} x {value.shape[1]}",
+            f"give the factor {n} columns, one for each entry of these variables, and the matrix a row and a column for each row "
+            "of the factor",
+            "shape",
+        )
+    return Block(on, value, owner, g)
 
 
 def skew(rows: Variable | Port, cols: Variable | Port, matrix: Any, *, owner: str = "") -> Block:

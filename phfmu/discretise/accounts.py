@@ -106,15 +106,10 @@ def _among(expr: ca.SX, names: dict[int, str]) -> list[str]:
 def _parts(b: Block, parameters: dict[int, str]) -> list[tuple[Block, list[str]]]:
     """A block of R in blocks that share no row, with the names by which each is told."""
     rows = [name for v in b.variables for name in (v.input_names() if isinstance(v, Port) else v.names())]
-    b = replace(b, matrix=ca.sparsify(b.matrix))
+    b = b.changed(ca.sparsify)
     by_names: dict[tuple[str, ...], list[int]] = {}
-    for part in components(b.matrix):
-        own = _among(ca.vec(b.matrix[part, part]), parameters)
+    for part in components(b.pattern):
+        own = _among(ca.veccat(*b.on(part).parts), parameters)
         names = [rows[i] for i in part] if own == ["constant"] else own
         by_names.setdefault(tuple(names), []).extend(part)
-    found = []
-    for names, part in by_names.items():
-        matrix = ca.SX(*b.matrix.shape)
-        matrix[part, part] = b.matrix[part, part]
-        found.append((replace(b, matrix=ca.sparsify(matrix)), list(names)))
-    return found
+    return [(b.on(part), list(names)) for names, part in by_names.items()]

@@ -18,7 +18,7 @@ from typing import Any
 
 import casadi as ca
 
-from phfmu.declare.block import Block, skew
+from phfmu.declare.block import skew
 from phfmu.declare.coefficients import coefficient
 from phfmu.declare.event import StateEvent
 from phfmu.declare.phdae import PHDAE
@@ -43,9 +43,6 @@ def fed(model: PHDAE, values: Mapping[str, ca.SX]) -> PHDAE:
         expr = ca.SX(_sx(value))
         return ca.substitute(expr, old, new) if ca.depends_on(expr, old) else value
 
-    def block(b: Block) -> Block:
-        return replace(b, matrix=put(b.matrix))
-
     def port(p: Port) -> Port:
         on = {v: put(m) for v, m in p.on.items()}
         if p.source is None or not ca.depends_on(ca.SX(_sx(p.source)), old):
@@ -67,8 +64,8 @@ def fed(model: PHDAE, values: Mapping[str, ca.SX]) -> PHDAE:
     return replace(
         model,
         parameters=tuple(v for v in model.parameters if v not in inputs),
-        structure=tuple(map(block, model.structure)),
-        dissipation=tuple(map(block, model.dissipation)),
+        structure=tuple(b.changed(put) for b in model.structure),
+        dissipation=tuple(b.changed(put) for b in model.dissipation),
         ports=tuple(map(port, model.ports)),
         observables=tuple(replace(o, expr=put(o.expr)) for o in model.observables),
         z={v: put(m) for v, m in model.z.items()},

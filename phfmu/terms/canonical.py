@@ -173,7 +173,7 @@ def make_term(
     return Term(kind, full_key, local, index, dict(zip(exprs, new, strict=True)), rows, owner, form)
 
 
-def components(pattern: ca.SX) -> list[list[int]]:
+def components(pattern: ca.SX | ca.DM) -> list[list[int]]:
     """Index sets of the connected components of a square matrix's sparsity (structural zeros only)."""
     n = pattern.shape[0]
     parent = list(range(n))

@@ -69,20 +69,16 @@ class _Labelled:
     owner: int
     label: str
 
-    @property
-    def matrix(self) -> ca.SX:
-        return self.block.matrix
-
     @cached_property
     def z(self) -> ca.SX:
         """The efforts."""
         return ca.vertcat(*(self.model.effort(v) for v in self.block.variables))
 
-    def terms(self, out: Terms, locator: Locator, matrix: ca.SX, make: Callable[[], list[Term]]) -> list[Term]:
-        """Terms of a part `matrix` of this block, made once for all blocks that are alike."""
+    def terms(self, out: Terms, locator: Locator, parts: list[ca.SX], make: Callable[[], list[Term]]) -> list[Term]:
+        """Terms that follow from expressions `parts` of this block, made once for all blocks that are alike."""
         rows = [target for row in self.rows for target, _ in _targets(out, row)]
         bound = tuple(row.index in out.bound for row in self.rows if row.kind is Row.OUTPUT)
-        return alike([matrix, self.z], rows, locator, self.label, make, self.owner, bound)
+        return alike([*parts, self.z], rows, locator, self.label, make, self.owner, bound)
 
 
 def blocks(model: PHDAE, out: Terms, locator: Locator) -> None:
@@ -96,10 +92,11 @@ def blocks(model: PHDAE, out: Terms, locator: Locator) -> None:
 def _labelled(model: PHDAE, out: Terms, locator: Locator, b: Block, what: str) -> _Labelled:
     rows, sources = _rows(model, b.variables, locator)
     label = f"{what} block on {', '.join(v.name for v in b.variables)}"
-    if b.matrix.shape != (len(rows), len(rows)):
+    shape = b.matrix.shape if b.factor is None else (b.n, b.n)
+    if shape != (len(rows), len(rows)):
         raise DeclarationError(
             label,
-            f"is {b.matrix.shape[0]} x {b.matrix.shape[1]}, expected {len(rows)} square",
+            f"is {shape[0]} x {shape[1]}, expected {len(rows)} square",
             "make it as large as its variables and ports",
             "shape",
         )
@@ -107,24 +104,43 @@ def _labelled(model: PHDAE, out: Terms, locator: Locator, b: Block, what: str) -
 
 
 def _dissipation(out: Terms, locator: Locator, b: _Labelled) -> None:
+    own = _shortest(b.block)
+
     def dissipation() -> list[Term]:
         found = []
-        for part in _sharing(b.matrix, locator):
-            zp = ca.vertcat(*(b.z[i] for i in part))
-            f = -ca.mtimes(b.matrix[part, part], zp)
+        for part in _sharing(own, locator):
+            f, loss = _dissipated(own, part, ca.vertcat(*(b.z[i] for i in part)))
             where, values = _flow(out, [b.rows[i] for i in part], f)
-            exprs = {"f": values, "loss": -ca.dot(zp, f)}
+            exprs = {"f": values, "loss": loss}
             found.append(make_term(FLOW, exprs, locator, b.label, rows=where, owner=b.owner))
         return found
 
-    out.terms += b.terms(out, locator, b.matrix, dissipation)
+    out.terms += b.terms(out, locator, own.parts, dissipation)
 
 
-def _sharing(matrix: ca.SX, locator: Locator) -> list[list[int]]:
-    """Components of a matrix; those that depend on the same states are one, which evaluates what they share once."""
+def _shortest(b: Block) -> Block:
+    """The block by its entries, where it has no more of them than its factors, both that and its transpose."""
+    if b.factor is None or b.pattern.nnz() > b.value.nnz() + 2 * b.factor.nnz():
+        return b
+    return Block(b.variables, b.matrix, b.owner)
+
+
+def _dissipated(b: Block, part: list[int], z: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """f = -R z and the power z^T R z of the rows `part`, of a block with a factor by the rates G z."""
+    if b.factor is None:
+        f = -ca.mtimes(b.value[part, part], z)
+        return f, -ca.dot(z, f)
+    g = b.factor[:, part]
+    rates = ca.mtimes(g, z)
+    forces = ca.mtimes(b.value, rates)
+    return -ca.mtimes(g.T, forces), ca.dot(rates, forces)
+
+
+def _sharing(b: Block, locator: Locator) -> list[list[int]]:
+    """Components of a block; those that depend on the same states are one, which evaluates what they share once."""
     merged: dict[tuple, list[int]] = {}
-    for i, part in enumerate(components(matrix)):
-        symbols = ca.symvar(ca.vec(matrix[part, part]))
+    for i, part in enumerate(components(b.pattern)):
+        symbols = ca.symvar(ca.veccat(*b.on(part).parts))
         found = ((s, locator.find(s, "a block of R")) for s in symbols)
         states = tuple(sorted(s.element_hash() for s, at in found if at.kind is Value.STATE))
         merged.setdefault(states or (i,), []).extend(part)
@@ -133,8 +149,8 @@ def _sharing(matrix: ca.SX, locator: Locator) -> list[list[int]]:
 
 def _interconnection(out: Terms, locator: Locator, b: _Labelled) -> None:
     varying: list[tuple[int, int, ca.SX]] = []
-    i_row, i_col = b.matrix.sparsity().get_triplet()
-    entries = scalars(b.matrix)
+    i_row, i_col = b.block.matrix.sparsity().get_triplet()
+    entries = scalars(b.block.matrix)
     values = [_constant(entry) for entry in entries]
     for r, c, entry, value in zip(i_row, i_col, entries, values, strict=True):
         source = b.sources[c]
@@ -145,7 +161,7 @@ def _interconnection(out: Terms, locator: Locator, b: _Labelled) -> None:
     if not varying:
         return
     i_row, i_col, entries = (list(column) for column in zip(*varying, strict=True))
-    matrix = ca.SX.triplet(i_row, i_col, ca.vertcat(*entries), *b.matrix.shape)
+    matrix = ca.SX.triplet(i_row, i_col, ca.vertcat(*entries), *b.block.matrix.shape)
 
     def interconnection() -> list[Term]:
         found = []
@@ -155,7 +171,7 @@ def _interconnection(out: Terms, locator: Locator, b: _Labelled) -> None:
             found.append(make_term(FLOW, {"f": f}, locator, b.label, rows=where, owner=b.owner))
         return found
 
-    out.terms += b.terms(out, locator, matrix, interconnection)
+    out.terms += b.terms(out, locator, [matrix], interconnection)
 
 
 def ports(out: Terms, locator: Locator) -> None:

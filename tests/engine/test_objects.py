@@ -17,7 +17,7 @@ from phfmu import interrupt
 from phfmu.components.mechanical.translational import mass
 from phfmu.discretise.model import build_model
 from phfmu.engine.build import cache, objects
-from phfmu.engine.build.compile import CompileError, compile, host_flags
+from phfmu.engine.build.compile import LONG, CompileError, compile, host_flags
 from phfmu.engine.build.kernels import Kernels
 from phfmu.engine.model import kernels
 from phfmu.engine.native.code import Compiled, source
@@ -117,6 +117,22 @@ def test_flags_for_models_compile_what_is_generated_and_nothing_else(
     assert compiled() == []
     monkeypatch.delenv("PHFMU_MODEL_FLAGS")
     assert compile(sources).path == plain
+
+
+def test_long_generated_sources_are_compiled_without_the_vectors_of_blocks(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Short ones, and files however long, keep the flags of all."""
+    run, said = subprocess.Popen, dict[str, bool]()
+
+    def watched(command, **more):
+        said.update({w: "-fno-tree-slp-vectorize" in command for w in command if w.endswith(".c") and "-c" in command})
+        return run(command, **more)
+
+    monkeypatch.setattr(objects.subprocess, "Popen", watched)
+    (tmp_path / "file.c").write_text(f"/*{'-' * LONG}*/ int file(void) {{ return 1; }}\n")
+    compile({**SOURCES, "a.c": SOURCES["a.c"] + f"/*{'-' * LONG}*/\n", "file.c": tmp_path / "file.c"})
+    assert said == {"a.c": True, "b.c": False, "c.c": False, "file.c": False}
 
 
 def test_includes_are_found_through_others_and_in_a_circle() -> None:

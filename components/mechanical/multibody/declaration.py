@@ -181,12 +181,12 @@ class Declaration:
         for d in self.parts.dampers:
             on, form = self.linear_form((d.a, d.b), lambda _, speed, d=d: speed(d.b) - speed(d.a))
             if on:
-                yield block(on, d.matrix(self.at(d.b) - self.at(d.a), form))
+                value, factor = d.factors(self.at(d.b) - self.at(d.a), form)
+                yield block(on, value, factor=factor)
         for r in self.parts.rate_dampers:
             columns = list(self.columns(r.points, r.rate))
-            form = ca.vertcat(*(c for _, c in columns))
             value: Any = r.value(self) if callable(r.value) else getattr(r.value, "sx", r.value)
-            yield block([v for v, _ in columns], ca.mtimes(form, form.T) * value)
+            yield block([v for v, _ in columns], value, factor=ca.vertcat(*(c for _, c in columns)).T)
 
     def events(self) -> Iterator[StateEvent]:
         """Contacts: where a gap closes, an impulse along its gradient turns its rate round."""

@@ -100,11 +100,15 @@ class Damper:
     value: Scalar
     axial: bool
 
-    def matrix(self, d: ca.SX, form: ca.SX) -> ca.SX:
-        """R = form^T value one form for the velocity form v of b beside a, and the difference d of their positions."""
+    def factors(self, d: ca.SX, form: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """W and G of R = G^T W G for the velocity form v of b beside a, and the difference d of their positions.
+
+        G is the form, or along the line between them the row d^T form, whose W is the value over |d|^2.
+        """
         s = ca.sumsqr(d)
-        one = ca.mtimes(d, d.T) / s if self.axial else ca.SX.eye(d.numel())
-        return ca.mtimes([form.T, self.value(s) * one, form])
+        if self.axial:
+            return self.value(s) / s, ca.mtimes(d.T, form)
+        return self.value(s) * ca.SX.eye(d.numel()), form
 
 
 @dataclass(frozen=True)

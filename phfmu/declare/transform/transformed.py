@@ -117,14 +117,17 @@ def _projection(change: Change, variables: Sequence[Any]) -> tuple[list[Any], ca
 
 
 def _block(change: Change, b: Block, sign: int) -> Block:
-    """P^T M P, exactly skew (sign -1) or symmetric (sign 1)."""
-    matrix = change.expr(b.matrix)
+    """P^T M P, exactly skew (sign -1) or symmetric (sign 1); a block with a factor G has G P."""
+    b = b.changed(change.expr)
     if not any(key(v) in change.row for v in b.variables):
-        return replace(b, matrix=matrix)
+        return b
     variables, P = _projection(change, b.variables)
-    matrix, _ = change.product(P.T, matrix, P)
+    if b.factor is not None:
+        factor, _ = change.product(ca.SX.eye(b.factor.shape[0]), b.factor, P)
+        return replace(b, variables=tuple(variables), factor=factor)
+    matrix, _ = change.product(P.T, b.value, P)
     upper = ca.triu(matrix, sign > 0)
-    return replace(b, variables=tuple(variables), matrix=ca.sparsify(upper + sign * ca.triu(matrix, False).T))
+    return replace(b, variables=tuple(variables), value=ca.sparsify(upper + sign * ca.triu(matrix, False).T))
 
 
 def _port(change: Change, p: Port) -> Port:

@@ -27,6 +27,9 @@ from phfmu.engine.build.objects import Toolchain
 #: contraction to fused multiply-add would make results depend on the target, and powers of constants that become calls of
 #: other functions on the compiler
 FLAGS = ("-std=c11", "-O2", "-g0", "-ffp-contract=off", "-fno-builtin-pow", "-fvisibility=hidden", "-fPIC")
+#: of generated sources above this many characters (some 8000 operations), besides: Clang's search for equal operations side by
+#: side takes more than all else of a long block, and what it finds there makes no step faster
+LONG, LONG_FLAGS = 200_000, ("-fno-tree-slp-vectorize",)
 LINK = ("-shared", "-s")
 SUFFIX = {"linux": ".so", "macos": ".dylib", "windows": ".dll"}
 SYSTEM = {"linux": "linux-gnu.2.17", "darwin": "macos", "win32": "windows-gnu"}
@@ -157,6 +160,11 @@ def _bytes(source: Source, content: bool) -> bytes:
     return source.encode()
 
 
+def _generated(sources: Mapping[str, Source]) -> list[str]:
+    """Names of those that are generated from a model, not files."""
+    return [n for n, s in sources.items() if not isinstance(s, Path) and n.endswith(".c")]
+
+
 @dataclass(frozen=True)
 class _Asked:
     """Sources, and how a library of them is made."""
@@ -172,8 +180,7 @@ class _Asked:
         target = target or host_target()
         tools = _find(target, compiler, flags)
         if own := tuple(shlex.split(os.environ.get("PHFMU_MODEL_FLAGS", ""))):
-            made = [n for n, s in sources.items() if not isinstance(s, Path) and n.endswith(".c")]
-            tools = replace(tools, own=dict.fromkeys(made, own))
+            tools = replace(tools, own=dict.fromkeys(_generated(sources), own))
         return cls(sources, target, tools)
 
     @cached_property
@@ -186,7 +193,9 @@ class _Asked:
 
     def build(self) -> Build:
         files = {n: _bytes(s, False) for n, s in self.sources.items()}
-        path = objects.build(files, self.tools, suffix(self.target), self.key)
+        own = self.tools.own
+        long = {n: (*LONG_FLAGS, *own.get(n, ())) for n in _generated(self.sources) if len(files[n]) > LONG}
+        path = objects.build(files, replace(self.tools, own={**own, **long}), suffix(self.target), self.key)
         return Build(path, False, self.tools.version, self.target)
 
 
@@ -212,7 +221,7 @@ def compile(
     `sources`: file name -> text or path; names not ending in .c are only included. `out`: copy of the result.
     `flags`: further compiler flags. `compiler`: "zig" or "cc" to insist on one. `announce`: called before
     the compiler runs, not when the cache has the library. Sources that are texts, generated from a model, are
-    compiled with the flags of PHFMU_MODEL_FLAGS besides.
+    compiled with the flags of PHFMU_MODEL_FLAGS besides, long ones with `LONG_FLAGS`.
     Errors: CompilerMissing, CompileError.
     """
     asked = _Asked.of(sources, target, flags, compiler)
