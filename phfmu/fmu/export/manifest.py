@@ -51,7 +51,7 @@ DERIVATIVE = (
     "step map of the last communication step, of which at most 16 internal steps may have been halved"
 )
 BY_STATES = (
-    "beyond the outputs of the description directional (and adjoint) derivatives are told of the states listed, at the end of the "
+    "beyond outputs of the description, directional (and adjoint) derivatives are told of the states listed, at the end of the "
     "last communication step, and of what is listed of the step, with respect to the states at its start, parameters and inputs "
     "held in it or at its nodes; of what is listed now with respect to the states now, parameters and inputs now"
 )
@@ -143,7 +143,8 @@ def manifest(unit: Unit) -> bytes:
     if unit.derives_by_states:
         derivatives = etree.SubElement(root, "Derivatives", description=BY_STATES)
         for word, blocks in DERIVED.items():
-            names = [v.name for v in unit.variables if v.block in blocks and unit.has_derivatives(v)]
+            own = (v for v in unit.variables if v.causality != "independent" and unit.has_derivatives(v))
+            names = [v.name for v in own if v.block in blocks]
             derivatives.set(word, " ".join(names))
     for text in unit.left_out:
         etree.SubElement(root, "LeftOut", what=plain(text))
