@@ -111,6 +111,8 @@ class UnitMaps:
         self.nx, self.names, self.reached = len(self.states), len(by.names), len(part.col)
         self.moves = slice(self.nx + self.names, self.nx + self.names)
         self.given = self.moves.stop
+        #: no signals are exchanged within its steps
+        self.wired: list[int] = []
         self.polynomial = np.zeros((0, self.reached))
         rule = nodes(part.k)
         self._c, self._b = rule.value(1.0) if part.k > 1 else np.ones(1), rule.b
