@@ -272,8 +272,6 @@ class DerivedMembers(Coupled):
                 f"{self.joined.network.name}: derivatives through state events are told of steps that are not damped; leave out "
                 "--restart, or the derivatives"
             )
-        if self.with_units:
-            raise ValueError(f"{self.joined.network.name}: steps of units are not damped; leave out --restart")
         made = self.like(super().companion(scheme))
         self._works.share(made._works)
         return made
