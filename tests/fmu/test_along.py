@@ -45,7 +45,7 @@ def adjoint(unit: FMUInstance, unknowns: Sequence[str], knowns: Sequence[str], s
     rows, columns = ((ctypes.c_uint * len(ns))(*(unit.variable(n).reference for n in ns)) for ns in (unknowns, knowns))
     weights, found = (ctypes.c_double * len(seed))(*seed), (ctypes.c_double * len(knowns))()
     arguments = rows, len(rows), columns, len(columns), weights, len(seed), found, len(found)
-    unit._slave.call_plain("fmi3GetAdjointDerivative", arguments)
+    unit._slave.call_plain("fmi3GetAdjointDerivative", arguments)  # type: ignore[attr-defined]
     return np.array(found)
 
 
@@ -130,6 +130,43 @@ def test_they_belong_to_the_step_that_is_restored(tmp_path: Path) -> None:
         unit.set_input(np.array([3.0, -1.0]))
         unit.do_step(own.h, own.h)
         np.testing.assert_array_equal(unit.derivatives(unknowns, knowns), other)
+
+
+@pytest.mark.parametrize("order", [2, *wide([4, 6])])
+def test_impulses_at_the_ends_of_a_step_are_followed(order: int, tmp_path: Path) -> None:
+    """A machine whose shaft and windings are pushed: by states and parameters, which turn the way that impulses act on, by
+    impulses, and how their jump S follows."""
+    path = unit_file(tmp_path, "machine", order, "3.0", impulses=True)
+    own = Stepped(path)
+    push = np.array([[0.3, -0.2, 0.1, 0.4, 2.0], [0.1, 0.2, -0.4, 0.3, -1.0]])
+
+    def stepped(starts: dict[str, float], more: tuple[int, int, float] = (0, 0, 0.0)) -> FMUInstance:
+        unit, s = FMUInstance(path, starts=starts), push.copy()
+        s[more[0], more[1]] += more[2]
+        unit.at_nodes.set_impulses(*s)
+        own.step(unit)
+        return unit
+
+    rows, nx = [*own.states, *own.of_step], len(own.states)
+    knowns = ["psi[1]", "theta", "J", "Ld", "M_f"]
+    with stepped({}) as unit:
+        impulses = [[names[side] for p in unit.ports for names in p.impulses] for side in (0, 1)]
+        moved, by = unit.derivatives(rows, knowns), unit.derivatives(rows, [impulses[0][2], impulses[1][0]])
+        now = unit.derivatives(own.now, [*own.states, *knowns])
+    assert any(n.startswith("impulse.jump") for n in own.now)
+
+    def values(starts: dict[str, float], more: tuple[int, int, float] = (0, 0, 0.0)) -> np.ndarray:
+        with stepped(starts, more) as unit:
+            return unit.get([*rows, *own.now])
+
+    for j, n in enumerate(knowns):
+        slopes = richardson(lambda v, n=n: values({n: v}), own.start[n], 1e-3 * abs(own.start[n]))
+        at_once = 0.0 if n in own.states else now[:, nx + j]
+        found = np.concatenate([moved[:, j], now[:, :nx] @ moved[:nx, j] + at_once])
+        assert np.abs(found - slopes).max() <= 1e-8 * np.abs(slopes).max(), n
+    for j, (side, i) in enumerate(((0, 2), (1, 0))):
+        slopes = richardson(lambda v, s=side, i=i: values({}, (s, i, v)), 0.0, 1e-2)[: len(rows)]
+        assert by[:, j] == pytest.approx(slopes, abs=float(1e-8 * np.abs(slopes).max()))
 
 
 @pytest.mark.parametrize("version", ["3.0", *wide(["2.0"])])

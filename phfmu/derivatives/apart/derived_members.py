@@ -80,7 +80,6 @@ class DerivedMembers(Coupled):
         wired: list[list[int]] = [[] for _ in members]
         for _, _, target, i in found.wires.tolist():
             wired[target].append(i)
-        _require_told(network, members, found.parts)
         if isinstance(self.coupling, InTurn):
             parts = zip(members, found.parts, own, strict=True)
             self.maps = InTurnMaps(found, list(parts), self.coupling.groups(self.joined), self._map)
@@ -303,6 +302,8 @@ class DerivedMembers(Coupled):
             self.by.require_constant(self.joined.network.name, self.joined.followed.data.names)
         before, states = self.states_now(), self.joined.states() if self.maps.in_turn else []
         given = [self._outside(i, t0, h, k) for i in range(len(self.maps.members))]
+        for m in self.maps.members:
+            m.ready()
         steps = super().advance(t0, h, 1, k)
         return steps, self.joint_step(before, given, t0 + k * h, h, states)
 
@@ -461,12 +462,6 @@ def _require_derivable(network: Network, members: Sequence[Member]) -> None:
             f"{network.name}: there are no derivatives of runs through units that are stepped last ({', '.join(late)}); "
             f"{_REMEDY}"
         )
-
-
-def _require_told(network: Network, members: Sequence[Member], parts: Sequence[Part]) -> None:
-    """ValueError names units that lack derivatives for their part in the coupling."""
-    units = [(m, part) for m, part in zip(members, parts, strict=True) if isinstance(m, FMUMember)]
-    _require_nothing_missing(network, {m.name: why_not(m, part) for m, part in units})
 
 
 def _require_nothing_missing(network: Network, missing: Mapping[str, str]) -> None:

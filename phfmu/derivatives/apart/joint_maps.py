@@ -211,10 +211,8 @@ class JointMaps:
         S = np.zeros((2, n, nb, nb))
         for m, own, to in zip(self.members, steps.parts, self._to, strict=True):
             if m.part.kicks and nb:
-                assert isinstance(m, MemberMaps)
-                p = np.broadcast_to(own.taken.p, (n, len(own.taken.p)))
-                for side, x in enumerate((own.taken.before, own.taken.after)):
-                    S[side] += to.T @ m.slopes.jump(x, p) @ to
+                for side, own_jump in enumerate(m.jumps(own)):
+                    S[side] += to.T @ own_jump @ to
         v = np.zeros((n, 2, 1 + POINTS, nb))
         if not nb:
             return np.zeros((n, 0, 0)), np.zeros((n, POINTS, 0, 0)), v

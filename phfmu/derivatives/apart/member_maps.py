@@ -233,6 +233,15 @@ class MemberMaps:
         taken = Taken(np.array([t]), np.array([h]), before[None], after, w, u, i.parameters.copy(), a_end)
         return MemberSteps(taken, (self.kicks @ z)[None], end)
 
+    def ready(self) -> None:
+        """Before a step: nothing, its states there are kept."""
+
+    def jumps(self, steps: MemberSteps) -> tuple[Array, Array]:
+        """S (n x kicks x kicks) before and after steps."""
+        t = steps.taken
+        p = np.broadcast_to(t.p, (len(t.t), len(t.p)))
+        return self.slopes.jump(t.before, p), self.slopes.jump(t.after, p)
+
     # -- derivatives -----------------------------------------------------------------------------------------------------
 
     def at(self, steps: MemberSteps, v: Array, acts: Array) -> Linearised:

@@ -37,6 +37,9 @@ class UnitSteps:
     x: Array
     told: Array
     outputs: Array
+    #: S before and after each (n x 2 x kicks x kicks), and its derivatives (.. x columns)
+    S: Array
+    dS: Array
 
     def some(self, which: slice) -> UnitSteps:
         """Some of them."""
@@ -63,7 +66,35 @@ class UnitInstants:
         return UnitInstants(np.concatenate([s.y for s in steps]))
 
 
-def why_not(m: FMUMember, part: Part | None = None) -> str:
+@dataclass(frozen=True)
+class _Point:
+    """At one instant S (kicks x kicks), outputs y with impulses (kicks), and their derivatives by [states | names]."""
+
+    S: Array
+    dS: Array
+    y: Array
+    dy: Array
+
+    def along(self, X: Array, given: int) -> tuple[Array, Array]:
+        """Derivatives of S and y by columns that the states there follow by X (nx x columns); those of names stand before
+        column `given`."""
+        nx = len(X)
+
+        def of(D: Array) -> Array:
+            found = D[..., :nx] @ X
+            found[..., nx:given] += D[..., nx:]
+            return found
+
+        return of(self.dS), of(self.dy)
+
+    def works(self, s: Array, ds: Array, dS: Array, dy: Array, side: float) -> Array:
+        """Derivatives of the works s (y + side S s/2) of impulses s, whose outputs y are those before (side 1) or after (-1)."""
+        mean = self.y + side * self.S @ s / 2
+        turned = np.einsum("ijc,j->ic", dS, s) + self.S @ ds
+        return ds * mean[:, None] + s[:, None] * (dy + side * turned / 2)
+
+
+def why_not(m: FMUMember) -> str:
     """What a unit lacks for derivatives of runs through it; "" for nothing."""
     face = m.unit.interface
     if not face.derivatives:
@@ -82,8 +113,6 @@ def why_not(m: FMUMember, part: Part | None = None) -> str:
         return (
             f"it exchanges signals at nodes ({', '.join([*m.taken, *m.sent][:3])}), through which they are not followed"
         )
-    if part is not None and part.kicks:
-        return "it takes impulses at bare nodes, whose rule has no derivatives of units; export it at order 2 without --impulses"
     return ""
 
 
@@ -139,6 +168,14 @@ class UnitMaps:
         self._fed, self._fed_names = fed, [(every if part.held else inputs)[i] for i in fed]
         self._fed_end = np.flatnonzero(self._end_of(self.feed).any(axis=1))
         self._fed_end_names = [every[i] for i in self._fed_end]
+        #: of impulses, places among the pairs, names at start and end, and S as pairs of places with its names
+        self._pairs = list(self.unit.at_nodes.kicked) if part.kicks else []
+        impulses = [names for p in ports for names in p.impulses]
+        self._impulse_names = [[names[side] for names in impulses] for side in (0, 1)] if part.kicks else [[], []]
+        self._lower = [(i, j, f"{face.jump}[{i + 1},{j + 1}]") for i in range(part.kicks) for j in range(i + 1)]
+        #: H is quadratic along impulses, so that their works follow from outputs before or after them
+        self._quadratic = all(p.impulse != "end" for p in ports)
+        self._before: _Point | None = None
         parameters = _parameters(member)
         self._directions = [parameters[i] for i in by.directions.parameters] + [every[i] for i in by.directions.inputs]
         #: of each direction that is an input, by how much the unit's value follows that of the network
@@ -170,7 +207,8 @@ class UnitMaps:
         found, energies = list[Quantity](), {}
         start = 0
         for p in self.unit.ports:
-            energies[port_energy(p.name)] = (start, len(p.inputs))
+            if self._quadratic or not p.impulses or not self.part.kicks:
+                energies[port_energy(p.name)] = (start, len(p.inputs))
             start += len(p.inputs)
         lists = {"x": self.states, "y_step": self._of_step, "y_end": self._now}
         place = {n: (block, i, 1) for block, names in lists.items() for i, n in enumerate(names)}
@@ -238,16 +276,50 @@ class UnitMaps:
         """The step that was taken last; z: the unknowns that reach it, `given`: its inputs from outside at nodes (k nu)."""
         del before, t
         part, nx, nu = self.part, self.nx, self.part.nu
-        signs = np.tile(self._sign_in, part.k)[self._fed]
+        kicks = self._sign_in[self._pairs]
+        signs = np.concatenate([np.tile(self._sign_in, part.k)[self._fed], kicks, kicks])
         rows = [*self.states, *self._of_step, *self._at_nodes]
-        by_x, by_names, by_u = self._along(rows, self._fed_names, signs)
-        J = np.concatenate([by_x, by_names, by_u @ self.feed[self._fed]], axis=1)
+        by_x, by_names, by_z = self._along(rows, [*self._fed_names, *sum(self._impulse_names, [])], signs)
+        through = np.concatenate([self.feed[self._fed], *self.kicks])
+        J = np.concatenate([by_x, by_names, by_z @ through], axis=1)
         n = len(self._of_step)
         X, told, y = J[:nx], J[nx : nx + n], J[nx + n :] * np.tile(self._sign_out, part.k)[:, None]
         energies = self._energies(y, given + self.feed @ z, h)
-        ends, _ = self._end(X)
-        outputs = np.concatenate([y, np.zeros((nu, J.shape[1]))])
-        return UnitSteps(np.array([h]), X[None], np.concatenate([told, energies, ends])[None], outputs[None])
+        ends, now = self._end(X)
+        at_end = np.zeros((nu, J.shape[1]))
+        at_end[self._pairs] = now[self._pairs]
+        start = np.eye(nx, J.shape[1])
+        points = [self._before, self._at_point()] if part.kicks else []
+        found = [p.along(m, self.given) for p, m in zip(points, (start, X), strict=False)]
+        for side, (p, (dS, dy)) in enumerate(zip(points, found, strict=True)):
+            energies[self._pairs] += p.works(
+                self.kicks[side] @ z, self._with(self.kicks[side]), dS, dy, (1.0, -1.0)[side]
+            )
+        n_kicks, C = part.kicks, J.shape[1]
+        S = np.array([p.S for p in points]).reshape(1, len(points), n_kicks, n_kicks)
+        dS = np.array([own for own, _ in found]).reshape(1, len(points), n_kicks, n_kicks, C)
+        outputs = np.concatenate([y, at_end])
+        return UnitSteps(np.array([h]), X[None], np.concatenate([told, energies, ends])[None], outputs[None], S, dS)
+
+    def _with(self, rows: Array) -> Array:
+        """Rows by the unknowns that reach it, by all columns."""
+        return np.concatenate([np.zeros((len(rows), self.given)), rows], axis=1)
+
+    def ready(self) -> None:
+        """Before a step: what its impulses are derived by."""
+        if self.part.kicks:
+            self._before = self._at_point()
+
+    def _at_point(self) -> _Point:
+        """The jumps of impulses now, and the outputs that they change."""
+        n, at = self.part.kicks, [self._outputs[i] for i in self._pairs]
+        own, names, _ = self._along([*(name for _, _, name in self._lower), *at], [], np.zeros(0))
+        found, dS = np.concatenate([own, names], axis=1), np.zeros((n, n, self.given))
+        for (i, j, _), row in zip(self._lower, found, strict=False):
+            dS[i, j] = dS[j, i] = row
+        sign = self._sign_out[self._pairs]
+        y = self.unit.end_output()[self._pairs]
+        return _Point(self.unit.at_nodes.jump(), dS, y, found[len(self._lower) :] * sign[:, None])
 
     def _energies(self, y: Array, u: Array, h: float) -> Array:
         """Derivatives of the energies through the pairs (nu x columns) in a step of length h."""
@@ -280,10 +352,16 @@ class UnitMaps:
         n = len(steps.h)
         C = self.given + self.reached
         scale = np.concatenate([np.ones(self.nx), acts, np.ones(self.reached)])
-        none = np.zeros((n, v.shape[2], 0, C))
+        before = after = np.zeros((n, v.shape[2], 0, C))
+        if self.part.kicks:
+            before, after = (np.einsum("nijc,nvj->nvic", steps.dS[:, i] * scale, v[:, i]) for i in (0, 1))
         return Linearised(
-            steps.x * scale, steps.told * scale, steps.outputs * scale, none, none, np.zeros((n, self.told, 0))
+            steps.x * scale, steps.told * scale, steps.outputs * scale, before, after, np.zeros((n, self.told, 0))
         )
+
+    def jumps(self, steps: UnitSteps) -> tuple[Array, Array]:
+        """S (n x kicks x kicks) before and after steps."""
+        return steps.S[:, 0], steps.S[:, 1]
 
     def looked(self) -> Array:
         """The member at the present instant, of which `looks` makes what `presented` takes: derivatives of outputs by [states

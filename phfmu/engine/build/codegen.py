@@ -193,10 +193,10 @@ def solver_text(schur: SchurStepper, runs: int, symbol: str = "ph_wide_solver") 
 
 def port_text(kernels: PortKernels, symbol: str = "ph_the_ports") -> str:
     """ports.c: a ph_ports."""
-    made = [body(f) for f in (kernels.shift, kernels.jump, kernels.tangent)]
+    made = [body(f) for f in (kernels.shift, kernels.jump, kernels.tangent, kernels.slopes)]
     text = HEAD.replace("values with Jacobians, and ledgers", "impulses at ports").replace('"plan.h"', '"impulses.h"')
     forms = kernels.forms
-    members = [len(forms.pairs), len(forms.states), "pairs", "states", *(f"functions + {i}" for i in range(3))]
+    members = [len(forms.pairs), len(forms.states), "pairs", "states", *(f"functions + {i}" for i in range(4))]
     return (
         text
         + functions_text({b.name: b for b in made}, called=True)

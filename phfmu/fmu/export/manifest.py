@@ -32,7 +32,11 @@ DOMAIN = {
     "common": "common",
 }
 #: attributes of what has derivatives by states and parameters -> places in the unit
-DERIVED = {"states": ("PH_X",), "ofStep": ("PH_A", "PH_Y_STEP"), "now": ("PH_A_END", "PH_Y_END", "PH_OBSERVABLES")}
+DERIVED = {
+    "states": ("PH_X",),
+    "ofStep": ("PH_A", "PH_Y_STEP"),
+    "now": ("PH_A_END", "PH_Y_END", "PH_OBSERVABLES", "FMU_JUMP"),
+}
 #: attributes of the energies of one step
 ENERGY = {
     "stored_step": "storedStep",

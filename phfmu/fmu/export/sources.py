@@ -253,6 +253,7 @@ def _modes_text(modes: UnitModes) -> str:
 def _impulses_text(kernels: PortKernels) -> str:
     """The functions of impulses.c."""
     functions = {n: f"ph_impulses_{n}" for n in ("size", "init", "along")} | {
+        "by": "ph_impulses_by", "jump_along": "ph_jump_along",
         "set": "ph_set_impulses", "values": "ph_impulse_values", "step": "ph_step_impulses", "kick": "ph_kick", "jump": "ph_jump",
     }  # fmt: skip
     members = "".join(f"    .{n} = {f},\n" for n, f in functions.items())

@@ -80,6 +80,8 @@ typedef struct fmu_impulses {
     int (*kick)(struct ph_impulses *m, double t);
     void (*jump)(struct ph_impulses *m, double *s);
     void (*along)(struct ph_impulses *m, int end, int count, const double *ds, double *dx);
+    void (*by)(struct ph_impulses *m, int end, const double *dp, double *dx);
+    void (*jump_along)(struct ph_impulses *m, const double *dx, const double *dp, double *ds);
 } fmu_impulses;
 
 /* Functions of fmu_landing.c, which only units with state events have. */
@@ -124,7 +126,8 @@ typedef struct fmu_interface {
     int jumps;                      /* whether stored energy depends on a tunable parameter */
     int (*node_memory)(fmu *f);     /* fmu_nodes.c; NULL without inputs at nodes */
     int (*node_map)(fmu *f);
-    size_t (*along_room)(const ph_sizes *sizes); /* fmu_along.c; NULL without derivatives by states */
+    size_t (*along_room)(const struct fmu_interface *about,
+                         const ph_sizes *sizes); /* fmu_along.c; NULL without derivatives by states */
     int (*along)(fmu *f, const char *function, int adjoint, const unsigned *unknown, size_t nu,
                  const unsigned *known, size_t nk, const double *seed, double *result);
     int (*asks_along)(const fmu *f, const unsigned *unknown, size_t nu, const unsigned *known, size_t nk);
@@ -305,7 +308,7 @@ int fmu_derivative(fmu *f, const char *function, int adjoint, const unsigned *un
 int fmu_asks_along(const fmu *f, const unsigned *unknown, size_t nu, const unsigned *known, size_t nk);
 int fmu_along(fmu *f, const char *function, int adjoint, const unsigned *unknown, size_t nu,
               const unsigned *known, size_t nk, const double *seed, double *result);
-size_t fmu_along_room(const ph_sizes *p);
+size_t fmu_along_room(const fmu_interface *about, const ph_sizes *p);
 
 /* fmu_state.c. A saved state is one block without pointers; *state is reused if not NULL. */
 int fmu_save(fmu *f, const char *function, void **state);

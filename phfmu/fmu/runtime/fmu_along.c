@@ -15,9 +15,15 @@
 /* What an unknown is of: the last step, the present time, or nothing that has derivatives. */
 enum { NEITHER, OF_STEP, OF_NOW };
 
-size_t fmu_along_room(const ph_sizes *p) {
-    const int outputs = p->k * p->nu;
-    return (size_t)(2 * outputs + p->nx + 1 + p->na + p->np + p->na + p->nobs);
+size_t fmu_along_room(const fmu_interface *about, const ph_sizes *p) {
+    const int outputs = p->k * p->nu, n = about->impulses ? about->impulses->n : 0;
+    return (size_t)(2 * outputs + p->nx + 1 + p->na + p->np + p->na + p->nobs + 2 * n + n * n);
+}
+
+/* Directions of the impulses at start and end (2 n), and behind them the change of their jump (n*n). */
+static double *impulses_of(const fmu *f) {
+    const ph_sizes *p = &f->sizes;
+    return f->direction + 2 * p->k * p->nu + p->nx + 1 + p->na + p->np + p->na + p->nobs;
 }
 
 /* The direction, laid out in the memory of the instance. */
@@ -32,7 +38,7 @@ static int kind_of(const fmu *f, const fmu_variable *v) {
     const ph_sizes *p = &f->sizes;
     if (v->block == PH_X || v->block == PH_A)
         return OF_STEP;
-    if (v->block == PH_A_END || v->block == PH_OBSERVABLES)
+    if (v->block == PH_A_END || v->block == PH_OBSERVABLES || v->block == FMU_JUMP)
         return OF_NOW;
     if (v->block == FMU_NODE_OUTPUT && v->first % p->nq < p->nu)
         return OF_STEP;
@@ -43,7 +49,7 @@ static int kind_of(const fmu *f, const fmu_variable *v) {
 
 static int is_known(const fmu_variable *v) {
     return v->block == PH_X || v->block == FMU_PARAMETER || v->block == FMU_TUNABLE ||
-           v->block == FMU_INPUT || v->block == FMU_NODE_INPUT;
+           v->block == FMU_INPUT || v->block == FMU_NODE_INPUT || v->block == FMU_IMPULSE;
 }
 
 /* Whether a call is about more than outputs by inputs. */
@@ -58,7 +64,8 @@ int fmu_asks_along(const fmu *f, const unsigned *unknown, size_t nu, const unsig
     for (size_t i = 0; i < nu; i++)
         if (unknown[i] < n) {
             const int block = f->about->variables[unknown[i]].block;
-            if (block == PH_X || block == PH_A || block == PH_A_END || block == PH_OBSERVABLES)
+            if (block == PH_X || block == PH_A || block == PH_A_END || block == PH_OBSERVABLES ||
+                block == FMU_JUMP)
                 return 1;
         }
     return 0;
@@ -89,8 +96,6 @@ static int check(const fmu *f, const char *function, const unsigned *unknown, si
 
 /* Whether the last step has derivatives by its start. */
 static int check_step(const fmu *f, const char *function) {
-    int n;
-    const double *s = fmu_impulse_values(f, &n);
     if (f->phase.steps == 0.0)
         return fmu_refuse(
             f, "%s: no step was taken since the start, so that there is none to derive; take one first",
@@ -99,13 +104,6 @@ static int check_step(const fmu *f, const char *function) {
         return fmu_refuse(
             f, "%s: parameters changed in the last step or after it; derivatives of it are not known",
             function);
-    for (int i = n / 2; i < n; i++)
-        if (s[i] != 0.0)
-            return fmu_refuse(
-                f,
-                "%s: the last step had impulses; its derivatives by states and parameters are those "
-                "of steps without",
-                function);
     return FMU_OK;
 }
 
@@ -119,6 +117,8 @@ static void move(const fmu *f, const ph_directions *d, const fmu_variable *v, do
             d->dx[i] += by;
         else if (v->block == FMU_NODE_INPUT)
             du[i] += by;
+        else if (v->block == FMU_IMPULSE)
+            impulses_of(f)[i] += by;
         else if (v->block == FMU_INPUT)
             for (int node = 0; node < p->k; node++)
                 du[node * p->nu + i] += by;
@@ -137,6 +137,8 @@ static double change(const fmu *f, const ph_directions *d, const fmu_variable *v
             sum += d->da[i];
         else if (v->block == PH_OBSERVABLES)
             sum += d->dobs[i];
+        else if (v->block == FMU_JUMP)
+            sum += impulses_of(f)[2 * f->about->impulses->n + i];
         else if (v->block == FMU_NODE_OUTPUT)
             sum += d->dy[i / p->nq * p->nu + i % p->nq];
         else if (v->block == PH_Y_END)
@@ -147,14 +149,36 @@ static double change(const fmu *f, const ph_directions *d, const fmu_variable *v
     return v->sign * sum;
 }
 
+/* The impulses at its start, the step, and those at its end. */
+static int through_step(fmu *f, const ph_directions *d) {
+    const fmu_impulses *impulses = f->about->impulses;
+    const double *ds = impulses_of(f);
+    int status;
+    if (!impulses)
+        return ph_step_along(f->of, d);
+    impulses->along(f->nodes.impulses, 0, 1, ds, d->dx);
+    impulses->by(f->nodes.impulses, 0, d->dp, d->dx);
+    status = ph_step_along(f->of, d);
+    impulses->along(f->nodes.impulses, 1, 1, ds + impulses->n, d->dx);
+    impulses->by(f->nodes.impulses, 1, d->dp, d->dx);
+    return status;
+}
+
+static int through_instant(fmu *f, const ph_directions *d) {
+    const fmu_impulses *impulses = f->about->impulses;
+    if (impulses)
+        impulses->jump_along(f->nodes.impulses, d->dx, d->dp, impulses_of(f) + 2 * impulses->n);
+    return ph_end_along(f->of, d);
+}
+
 /* The direction of known j with a weight, or of all of them, through the step or the present time. */
 static int solve(fmu *f, const char *function, int kind, const ph_directions *d, const unsigned *known,
                  size_t nk, const double *weights) {
     int status;
-    memset(f->direction, 0, sizeof(double) * fmu_along_room(&f->sizes));
+    memset(f->direction, 0, sizeof(double) * fmu_along_room(f->about, &f->sizes));
     for (size_t j = 0; j < nk; j++)
         move(f, d, &f->about->variables[known[j]], weights[j]);
-    status = kind == OF_STEP ? ph_step_along(f->of, d) : ph_end_along(f->of, d);
+    status = kind == OF_STEP ? through_step(f, d) : through_instant(f, d);
     return status ? fmu_solver(f, function, status) : FMU_OK;
 }
 

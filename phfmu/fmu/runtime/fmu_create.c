@@ -21,7 +21,7 @@ static fmu *allocate(const fmu_interface *about, const char *name) {
     nu = (size_t)p->nu;
     nc = (size_t)p->ncomp;
     values = (size_t)p->nx + 2 * (size_t)p->np + nu * (size_t)p->k + 2 * nu * nu + (FMU_NBOOKS + 1) * nc +
-             (about->along_room ? about->along_room(p) : 0);
+             (about->along_room ? about->along_room(about, p) : 0);
     block = calloc(1, ph_padded(sizeof(fmu)) + ph_padded(model) + sizeof(double) * values +
                           sizeof(unsigned) * scalars + length);
     if (!block)
