@@ -191,7 +191,8 @@ int fmu_along(fmu *f, const char *function, int adjoint, const unsigned *unknown
     int of[3] = {0};
     if (check(f, function, unknown, nu, known, nk, of) || (of[OF_STEP] && check_step(f, function)))
         return FMU_ERROR;
-    memset(result, 0, sizeof(double) * (adjoint ? nk : nu));
+    for (size_t i = 0; i < (adjoint ? nk : nu); i++)
+        result[i] = 0.0;
     for (int kind = OF_STEP; kind <= OF_NOW; kind++)
         for (size_t j = 0; of[kind] && j < calls; j++) {
             if (solve(f, function, kind, &d, known + j, adjoint ? 1 : nk, adjoint ? &one : seed))
