@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from phfmu.discretise.model import Model
+    from phfmu.network.members.member import Member
     from phfmu.network.network import Network
     from phfmu.network.scene import Scene
 
@@ -25,6 +26,10 @@ class OneModel:
     step: float
     instance: Callable[[float], Any]
 
+    def settable(self) -> list[str]:
+        """Names that events and data may set."""
+        return self.scene.declaration().settable_names()
+
 
 @dataclass(frozen=True)
 class MembersApart:
@@ -34,6 +39,12 @@ class MembersApart:
     model: Network
     step: float
     instance: Callable[[float], Any]
+
+    def settable(self) -> list[str]:
+        """Names that events and data may set."""
+        if self.model.units:
+            return self.instance(0.0).settable()
+        return self.scene.declaration().settable_names()
 
 
 def add_one_model(parser: argparse.ArgumentParser) -> None:
@@ -66,29 +77,35 @@ def _sound_scene(args: argparse.Namespace) -> Scene:
 
 
 def members_apart(args: argparse.Namespace, coupling: str) -> MembersApart:
-    """The network of the target with all declared members stepped apart; ValueError for what is no network, or has units."""
+    """The network of the target with all members stepped apart, units among them; ValueError for what is no network."""
     from phfmu.cli.options import scheme_of
     from phfmu.cli.stepping import engine_of, instance_of
     from phfmu.discretise.model import build_model
     from phfmu.network.couplings.coupled import Coupled
     from phfmu.network.couplings.named import named_coupling
     from phfmu.network.members.engine_member import EngineMember
+    from phfmu.network.members.unit_member import unit_member
     from phfmu.network.network import Network
 
     scene = _sound_scene(args)
     network = scene.system
-    if not isinstance(network, Network) or network.units:
-        raise ValueError(f"{args.target}: --coupling {coupling} needs a network of declared members")
+    if not isinstance(network, Network):
+        raise ValueError(f"{args.target}: --coupling {coupling} needs a network of members")
+    step = scene.step if args.step is None else args.step
     models = {n: build_model(d, scheme_of(args, d, member=True)) for n, d in network.separate(set()).items()}
     made = named_coupling(coupling, network).make
 
     def instance(steps: float) -> Coupled:
         engine = engine_of(args.engine)
-        return Coupled(
-            network, [EngineMember(n, m, instance_of(m, engine, "auto", steps)) for n, m in models.items()], made
-        )
 
-    return MembersApart(scene, network, scene.step if args.step is None else args.step, instance)
+        def member(n: str) -> Member:
+            if n in models:
+                return EngineMember(n, models[n], instance_of(models[n], engine, "auto", steps))
+            return unit_member(n, network.units[n], step)[0]
+
+        return Coupled(network, [member(n) for n in network.members], made)
+
+    return MembersApart(scene, network, step, instance)
 
 
 def one_model(args: argparse.Namespace) -> OneModel:

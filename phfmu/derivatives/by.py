@@ -6,14 +6,16 @@ Where hidden constraints hold at the start (currents that sum to zero, lengths),
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from phfmu.declare.parameter_limits import Limit, limits
 from phfmu.declare.phdae import PHDAE
 from phfmu.discretise.model import Model
+from phfmu.signals import of_member
 
 Array = NDArray[np.float64]
 
@@ -38,6 +40,38 @@ class Directions:
 
 
 @dataclass(frozen=True)
+class Given:
+    """What may be derived by: start values, nominal values of states, limits of parameters, and units, by name."""
+
+    start: dict[str, float]
+    nominal: dict[str, float]
+    limits: dict[str, Limit]
+    units: dict[str, str]
+
+    @staticmethod
+    def of(model: Model) -> Given:
+        """Those of a model."""
+        d, values = model.declaration, (*model.declaration.parameters, *model.declaration.states)
+        start = {n: x for v in values for n, x in zip(v.names(), v.start, strict=True)}
+        ports = [p for p in d.ports if p.external]
+        start |= dict(zip((n for p in ports for n in p.input_names()), model.u0.tolist(), strict=True))
+        nominal = {n: abs(x) for v in d.states for n, x in zip(v.names(), v.nominal, strict=True)}
+        units = {n: v.unit for v in values for n in v.names()} | {
+            n: p.input_unit for p in ports for n in p.input_names()
+        }
+        return Given(start, nominal, limits(d), units)
+
+    @staticmethod
+    def joined(members: Mapping[str, Given]) -> Given:
+        """Those of members, by the name of the whole."""
+        found = Given({}, {}, {}, {})
+        for m, own in members.items():
+            for to, values in zip(vars(found).values(), vars(own).values(), strict=True):
+                to.update({of_member(m, n): v for n, v in values.items()})
+        return found
+
+
+@dataclass(frozen=True)
 class By:
     """Scalar names that a run is derived by, in their order: each is a parameter, an input or the start of a state."""
 
@@ -54,13 +88,26 @@ class By:
         p = [n for v in d.parameters for n in v.names()]
         u = [n for q in d.ports if q.external and not q.signal for n in q.input_names()]
         x = [n for v in d.states for n in v.names()]
-        whole = {v.name: v.names() for v in (*d.parameters, *d.states)}
-        whole |= {n.partition("[")[0]: q.input_names() for q in d.ports if q.external for n in q.input_names()}
+        found = By.chosen(p, u, x, names, d.unknown_name)
+        if modes := [n for n in found.names if n in d.modes]:
+            raise KeyError(f"{d.name}: '{modes[0]}' is a mode that state events set; there is no derivative by it")
+        return found
+
+    @staticmethod
+    def chosen(
+        p: Sequence[str],
+        u: Sequence[str],
+        x: Sequence[str],
+        names: Sequence[str],
+        unknown: Callable[[str], str] = "there is no '{}'".format,
+    ) -> By:
+        """The same of scalar parameters, inputs and states by their names; unknown: words for a name that is none of them."""
+        whole: dict[str, list[str]] = {}
+        for n in (*p, *u, *x):
+            whole.setdefault(n.partition("[")[0], []).append(n)
         scalars = list(dict.fromkeys(n for name in names for n in whole.get(name, [name])))
         if lost := [n for n in scalars if n not in (*p, *u, *x)]:
-            raise KeyError(d.unknown_name(lost[0]))
-        if modes := [n for n in scalars if n in d.modes]:
-            raise KeyError(f"{d.name}: '{modes[0]}' is a mode that state events set; there is no derivative by it")
+            raise KeyError(unknown(lost[0]))
         of_p, of_u = ([n for n in scalars if n in set(some)] for some in (p, u))
         directions = Directions(tuple(p.index(n) for n in of_p), tuple(u.index(n) for n in of_u))
         starts = tuple((x.index(n), scalars.index(n)) for n in scalars if n in set(x))

@@ -10,7 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.derivatives.by import By
+from phfmu.derivatives.by import By, Given
 from phfmu.derivatives.event_maps import EventMaps
 from phfmu.derivatives.mode_entry import ModeEntry
 from phfmu.derivatives.tangents import in_parts, require_derived
@@ -98,6 +98,13 @@ def close_events(met: Sequence[Met], names: Sequence[str], h: float) -> list[str
     return found
 
 
+def identity_of(model: Model) -> tuple[Any, ...]:
+    """What runs of a model that are kept belong to."""
+    d = model.declaration
+    names = [v.name for v in (*d.states, *d.parameters)]
+    return model.name, model.scheme.name, model.step.k, names, model.x0, model.p0, model.u0
+
+
 class DerivedSteps(Monolithic):
     """Steps of one composed model whose rows are derived by parameters, held inputs or start values `by`.
 
@@ -155,6 +162,21 @@ class DerivedSteps(Monolithic):
     def sequence(self) -> tuple[tuple[int, ...], ...]:
         """Numbers of the state events of the run, one instant after the other."""
         return tuple(e.events for e in self.met)
+
+    @property
+    def known(self) -> Given:
+        """Start values, sizes, limits and units of what it can be derived by."""
+        return Given.of(self.model)
+
+    @property
+    def identity(self) -> tuple[Any, ...]:
+        """What runs that are kept belong to."""
+        return identity_of(self.model)
+
+    @property
+    def moves(self) -> bool:
+        """Whether times of rows move with the values."""
+        return self.model.events is not None
 
     def notes(self) -> list[str]:
         """State events whose sequence other values, however close, may change: derivatives are those of what happened."""

@@ -19,12 +19,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.declare.parameter_limits import limits
 from phfmu.derivatives.between import Between
 from phfmu.derivatives.fit_journal import Journal, Kept, digest
 from phfmu.derivatives.gradient import forward_of
 from phfmu.derivatives.measured import TIME
 from phfmu.discretise.model import Model
+from phfmu.fmu.export.variables import FMUError
 from phfmu.network.network import Network
 from phfmu.outcome.status import StepFailure
 from phfmu.results.table import Table
@@ -143,22 +143,17 @@ class _Problem:
         if not experiments:
             raise ValueError("a fit needs measurements of one experiment at least")
         self.stepper = forward_of(model, instance, free, list(measure))
-        self.model, self.free, self.experiments = self.stepper.model, self.stepper.by.names, experiments
+        self.name, self.free, self.experiments = model.name, self.stepper.by.names, experiments
         self.measure = self.stepper.derived_names
         if lost := [m for m in measure if m not in self.measure]:
             from phfmu.words import meant
 
             plain = self.stepper.names[: len(self.stepper.names) - len(self.measure) * len(self.free)]
             raise KeyError(f"{model.name} has no signal '{lost[0]}' to measure; {meant(lost[0], plain)}")
-        model = self.model
-        d = model.declaration
-        known = {n: x for v in (*d.parameters, *d.states) for n, x in zip(v.names(), v.start, strict=True)}
-        inputs = [n for p in d.ports if p.external for n in p.input_names()]
-        known |= dict(zip(inputs, model.u0.tolist(), strict=True))
-        self.start = np.array([known[n] for n in self.free])
-        nominal = {n: abs(x) for v in d.states for n, x in zip(v.names(), v.nominal, strict=True)}
+        known = self.stepper.known
+        self.start = np.array([known.start[n] for n in self.free])
         self.scale = np.array(
-            [abs(x) or nominal.get(n, 0.0) or 1.0 for n, x in zip(self.free, self.start, strict=True)]
+            [abs(x) or known.nominal.get(n, 0.0) or 1.0 for n, x in zip(self.free, self.start, strict=True)]
         )
         self._weights = self._sizes(weights)
         self._known: tuple[bytes, list[Curves]] | None = None
@@ -188,7 +183,7 @@ class _Problem:
         """Least and largest values: those given, else the limits of parameters."""
         if odd := [n for n in given if n not in self.free]:
             raise ValueError(f"--bounds {odd[0]}: it is not free; free are {', '.join(self.free)}")
-        known = limits(self.model.declaration)
+        known = self.stepper.known.limits
         low, high = np.full(len(self.free), -np.inf), np.full(len(self.free), np.inf)
         for i, name in enumerate(self.free):
             if name in given:
@@ -214,7 +209,7 @@ class _Problem:
 
         if not np.isfinite(residual(begin)).all():
             raise ValueError(
-                f"{self.model.name}: no run can be made with "
+                f"{self.name}: no run can be made with "
                 + ", ".join(f"{n} = {v:g}" for n, v in zip(self.free, begin, strict=True))
                 + f": {self._why}"
             )
@@ -246,9 +241,8 @@ class _Problem:
 
     def keep(self, path: str | Path) -> None:
         """Runs are kept in a file, and those of the same fit that are there are not taken again."""
-        d, m = self.model.declaration, self.model
         about = {
-            "model": (m.name, m.scheme.name, m.step.k, [v.name for v in (*d.states, *d.parameters)], m.x0, m.p0, m.u0),
+            "model": self.stepper.identity,
             "free values": self.free,
             "measured signals": self.measure,
             "data or weights": [
@@ -295,7 +289,7 @@ class _Problem:
         try:
             s.begin(values)
             result = run(s, self._options[i], inputs=e.inputs, interpolate=e.interpolate)
-        except (StepFailure, FloatingPointError) as failure:
+        except (StepFailure, FloatingPointError, FMUError) as failure:
             self._why = str(failure)
             nothing = {m: np.full(int(there[m].sum()), np.nan) for m in measured}
             return [
@@ -305,7 +299,7 @@ class _Problem:
         found = []
         self._sequences[i].add(s.sequence)
         self._last_sequences[i] = s.sequence
-        moved = [result.column(derivative_name(TIME, n)) for n in self.free] if self.model.events is not None else None
+        moved = [result.column(derivative_name(TIME, n)) for n in self.free] if s.moves else None
         for m in measured:
             t = e.data.time[there[m]]
             at = Between(result.time, t, "measurements", "; give --stop")

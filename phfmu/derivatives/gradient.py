@@ -16,7 +16,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.declare.phdae import PHDAE
+from phfmu.derivatives.apart.derived_members import by_of
 from phfmu.derivatives.apart.sensitive_members import SensitiveMembers
 from phfmu.derivatives.apart.taped_members import TapedMembers
 from phfmu.derivatives.by import By
@@ -85,7 +85,9 @@ def gradient(
     `SensitiveSteps` and `SensitiveMembers`; NoDerivative, with its time.
     """
     wanted = run_measures(of, told_by(model, instance))
-    names = By.of(_composed(model), by).names
+    names = (
+        by_of(instance.joined, by) if isinstance(instance, Coupled) else By.of(_model(model).declaration, by)
+    ).names
     chosen = chosen_mode(mode, instance, len(wanted), len(names))
     found = measured(stepper_of(chosen, model, instance, by, wanted, memory), options, wanted, inputs)
     slopes = found.slopes([m.weights(found.time, found.columns) for m in wanted])
@@ -113,8 +115,17 @@ class Measured:
             return self.stepper.slopes(weights)
         n = len(self.stepper.by.names)
         own = [{s: c for s, c in w.items() if s in self.along} for w in weights]
-        found = [sum((c @ self.along[s] for s, c in w.items()), np.zeros(n)) for w in own]
+        found = [sum((_weighted(c, self.along[s], s) for s, c in w.items()), np.zeros(n)) for w in own]
         return np.array(found).reshape(len(weights), n)
+
+
+def _weighted(c: Array, rows: Array, signal: str) -> Array:
+    """c @ rows of those that count; ValueError for one that has no derivative."""
+    counts = c != 0.0
+    found = c[counts] @ rows[counts]
+    if np.isnan(found).any():
+        raise ValueError(f"{signal} has no derivative in the row of the start, which counts here; take a later time")
+    return found
 
 
 def stepper_of(
@@ -145,7 +156,7 @@ def measured(stepper: Forward | Backwards, options: Options, of: Sequence[RunMea
     found = run(stepper, replace(options, every=None, signals=wanted), inputs=inputs)
     along = {}
     if not isinstance(stepper, Backwards):
-        moved = [TIME] if stepper.model.events is not None else []
+        moved = [TIME] if stepper.moves else []
         along = {s: np.column_stack([found.column(derivative_name(s, n)) for n in names]) for s in moved + signals}
     return Measured(stepper, found.time, {n: found.column(n) for n in signals}, along)
 
@@ -169,11 +180,6 @@ def _model(model: Model | Network) -> Model:
             f"{model.name} is a network; give it with a Coupled of its members, or the model of its compose()"
         )
     return model
-
-
-def _composed(model: Model | Network) -> PHDAE:
-    """The declaration of the whole; ConnectionError names units."""
-    return model.compose() if isinstance(model, Network) else model.declaration
 
 
 def _signals(of: Sequence[RunMeasure]) -> list[str]:

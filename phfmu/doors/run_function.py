@@ -62,9 +62,7 @@ class RunFunction:
                 )
         self.inputs = (Block("theta", own.names),)
         self.outputs = (Block("y", tuple(map(str, self._of))),)
-        d = self._stepper.model.declaration
-        known = {n: v for x in (*d.parameters, *d.states) for n, v in zip(x.names(), x.start, strict=True)}
-        known |= self._stepper.inputs()
+        known = self._stepper.known.start | self._stepper.inputs()
         self.start = (np.array([known[n] for n in own.names], float),)
         self._at: tuple[bytes, Measured] | None = None
         self._slopes: tuple[bytes, Array] | None = None

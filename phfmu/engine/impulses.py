@@ -37,12 +37,14 @@ class PortKernels:
     shift:    (x, p, s) -> L s on the states of `forms`, mean of y along it
     jump:     (x, p) -> S (n x n)
     tangent:  (x, p, s, dx, ds) -> change of L s
+    slopes:   (x, p, s, dx, dp) -> change of L s by p alone, of S by both (n x n)
     """
 
     forms: PortForms
     shift: ca.Function
     jump: ca.Function
     tangent: ca.Function
+    slopes: ca.Function
 
     @property
     def n(self) -> int:
@@ -58,9 +60,10 @@ def port_kernels(model: PHDAE) -> PortKernels:
 def _port_kernels(model: PHDAE) -> PortKernels:
     f = port_impulses(model)
     s, ds = ca.SX.sym("s", len(f.pairs)), ca.SX.sym("ds", len(f.pairs))
-    dx = ca.SX.sym("dx", f.x.numel())
+    dx, dp = ca.SX.sym("dx", f.x.numel()), ca.SX.sym("dp", f.p.numel())
     shift = ca.mtimes(f.L, s)
     along = ca.jtimes(shift, ca.vertcat(f.x, s), ca.vertcat(dx, ds))
+    turned = ca.jtimes(ca.vec(f.S), ca.vertcat(f.x, f.p), ca.vertcat(dx, dp))
     mean = f.y + ca.mtimes(f.S, s) / 2
     if any(p.kind is Impulse.END for p in f.ports):
         mean = ca.SX.zeros(len(f.pairs))
@@ -73,6 +76,7 @@ def _port_kernels(model: PHDAE) -> PortKernels:
         _function("shift", [f.x, f.p, s], [shift, mean]),
         _function("jump", [f.x, f.p], [f.S]),
         _function("tangent", [f.x, f.p, s, dx, ds], [along]),
+        _function("slopes", [f.x, f.p, s, dx, dp], [ca.jtimes(shift, f.p, dp), turned]),
     )
 
 

@@ -34,8 +34,6 @@ from phfmu.results.file import open_result
 from phfmu.signals import derivative_name
 from tests.derivatives.apart_runs import differ, members, rounding
 from tests.derivatives.differences import largest, richardson
-from tests.fmu import foreign
-from tests.network.test_units import SCENE, SIDECAR
 from tests.wide import wide
 
 #: scene, what it is derived by, steps, their length, what is set within the run
@@ -257,36 +255,3 @@ def test_a_fit_of_members_apart_finds_what_made_the_data(tmp_path: Path) -> None
     values = json.loads(to.read_text())["values"]
     assert values["mass1.m"] == pytest.approx(1.04, rel=1e-7)
     assert values["spring12.k"] == pytest.approx(151.0, rel=1e-7)
-
-
-# -- units ---------------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.usefixtures("compiler")
-def test_a_unit_of_this_package_is_refused_with_what_it_tells(capsys: pytest.CaptureFixture[str]) -> None:
-    """Its functions give derivatives of the outputs of a step by its inputs; those of a run need its states', too."""
-    options = ["--member", "mass1=fmu", "--coupling", "newton", "--sensitivity", "spring12.k", "--stop", "0.1"]
-    assert main(["run", "oscillator", *options]) == 2
-    said = capsys.readouterr().err
-    assert "mass1: derivatives of the outputs of a step by its inputs are told, but not of the states" in said
-    assert "take the declarations they were exported from" in said
-
-
-@pytest.mark.usefixtures("compiler")
-@pytest.mark.parametrize("version", wide(["2.0", "3.0"], "3.0"))
-def test_a_unit_of_another_tool_is_refused_with_what_it_tells(
-    tmp_path: Path, version: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """One that gives derivatives at communication points has states that nobody sees; one that gives none says so."""
-    attribute = {"2.0": "providesDirectionalDerivative", "3.0": "providesDirectionalDerivatives"}[version]
-    path = tmp_path / "mixed.py"
-    path.write_text(SCENE.format(name="mixed", pump='"pump.fmu"'))
-    (tmp_path / "pump.ports.toml").write_text(SIDECAR)
-    for abilities, said in (
-        ("", "pump: no derivatives are told"),
-        (f'{attribute}="true"', "states, which may be hidden"),
-    ):
-        foreign.mass(tmp_path / "pump.fmu", version, abilities=abilities)
-        assert main(["run", f"{path}:mixed", "--sensitivity", "spring.k", "--stop", "0.1"]) == 2
-        told = capsys.readouterr().err
-        assert said in told and "declare them, or take differences" in told

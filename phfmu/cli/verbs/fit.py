@@ -132,7 +132,7 @@ def _experiments(args: argparse.Namespace, one: OneModel | MembersApart) -> list
     from phfmu.runs.options import Options
 
     step = one.step
-    events, inputs, _ = timeline(args, one.scene, one.scene.declaration().settable_names())
+    events, inputs, _ = timeline(args, one.scene, one.settable())
     found = []
     for text in [args.data, *args.experiment]:
         path, _, given = text.partition(":") if text is not args.data else (text, "", "")

@@ -9,22 +9,26 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from phfmu.derivatives.apart.apart_start import ApartStart
 from phfmu.derivatives.apart.in_turn_maps import InTurnMaps
 from phfmu.derivatives.apart.joint_events import JointEvents
-from phfmu.derivatives.apart.joint_maps import JointMaps, JointSteps
-from phfmu.derivatives.apart.member_maps import MemberMaps, MemberSteps
-from phfmu.derivatives.by import By
-from phfmu.derivatives.derived import close_events
-from phfmu.derivatives.tangents import Tangents, in_parts, of_quantities, require_derived
+from phfmu.derivatives.apart.joint_maps import AnyMaps, JointMaps, JointSteps
+from phfmu.derivatives.apart.member_maps import MemberMaps
+from phfmu.derivatives.apart.unit_maps import UnitMaps, scalars_of, why_not
+from phfmu.derivatives.by import By, Given
+from phfmu.derivatives.derived import close_events, identity_of
+from phfmu.derivatives.tangents import Tangents, of_quantities, require_derived
 from phfmu.discretise.model import Model, build_model
 from phfmu.discretise.start import Projection
 from phfmu.gradients.quadrature import nodes
 from phfmu.interrupt import Interrupted
 from phfmu.network.couplings.anderson import Anderson
+from phfmu.network.couplings.compiled.master_pattern import Part
 from phfmu.network.couplings.coupled import Coupled
 from phfmu.network.couplings.coupling import InTurn, Solution
 from phfmu.network.couplings.newton import Newton
 from phfmu.network.couplings.unconverged import Accepting, Halving
+from phfmu.network.interface.joined import Joined
 from phfmu.network.members.engine_member import EngineMember
 from phfmu.network.members.fmu_member import FMUMember
 from phfmu.network.members.member import Member
@@ -33,20 +37,15 @@ from phfmu.network.network import Network
 from phfmu.outcome.status import StepFailure
 from phfmu.outcome.steps import Steps
 from phfmu.schemes.scheme import Scheme
-from phfmu.signals import Quantity, of_member, quantities
+from phfmu.signals import of_member, quantities
+from phfmu.words import meant
 
 Array = NDArray[np.float64]
 
-#: of units, what their functions of FMI tell of derivatives
-_OF_STEPS = (
-    "derivatives of the outputs of a step by its inputs are told, but not of the states at its end by those at its start, nor by "
-    "parameters, which go on to the next step"
-)
-_OF_POINTS = (
-    "derivatives of outputs by inputs at a communication point are told, but not those of states, which may be hidden, over a "
-    "step"
-)
 _NO_DERIVATIVES = "no derivatives are told"
+_REMEDY = (
+    "take the declarations as members, units that this version exports, or differences of whole runs (phfmu sweep)"
+)
 
 
 class DerivedMembers(Coupled):
@@ -64,27 +63,29 @@ class DerivedMembers(Coupled):
 
     def __init__(self, apart: Coupled, by: Sequence[str]):
         network, members = apart.joined.network, apart.joined.members
-        _require_engines(network, members)
+        _require_derivable(network, members)
         super().__init__(network, members, apart.made_by, apart._threads, apart._signals_are)
         self.joined.free[:] = apart.joined.free
-        self._require_smooth()
         self.engines: list[EngineMember] = [m for m in members if isinstance(m, EngineMember)]
-        self.by = By.of(network.compose(), by)
-        own = [self._own(m) for m in self.engines]
+        #: whether some members are units, so that there is no model of the whole
+        self.with_units = len(self.engines) < len(members)
+        self._require_smooth()
+        self.by = by_of(apart.joined, by)
+        own = [_own(m, self.by.names) for m in members]
         #: by member, places of its names among all
         self.at = [
-            [self.by.names.index(of_member(m.name, n)) for n in b.names] for m, b in zip(self.engines, own, strict=True)
+            [self.by.names.index(of_member(m.name, n)) for n in b.names] for m, b in zip(members, own, strict=True)
         ]
         found = self.master.found
-        wired: list[list[int]] = [[] for _ in self.engines]
+        wired: list[list[int]] = [[] for _ in members]
         for _, _, target, i in found.wires.tolist():
             wired[target].append(i)
         if isinstance(self.coupling, InTurn):
-            parts = zip(self.engines, found.parts, own, strict=True)
-            self.maps = InTurnMaps(found, list(parts), self.coupling.groups(self.joined))
+            parts = zip(members, found.parts, own, strict=True)
+            self.maps = InTurnMaps(found, list(parts), self.coupling.groups(self.joined), self._map)
         else:
-            parts = zip(self.engines, found.parts, own, wired, strict=True)
-            self.maps = JointMaps(found, [MemberMaps(*p, moves=self.lands) for p in parts])
+            parts = zip(members, found.parts, own, wired, strict=True)
+            self.maps = JointMaps(found, [self._map(*p) for p in parts])
         #: of state events on which all members end their steps together
         self.events = JointEvents(self.model, self.joined, self.engines, self._lander, self.by) if self.lands else None
         #: columns that are no derivatives
@@ -92,18 +93,42 @@ class DerivedMembers(Coupled):
         #: entries of all members, junctions and sums at ends, which columns are made of
         self.width = len(self.joined.names) + len(self.joined.face.names) + len(self._sums.names)
         #: of each member's columns; names of those that have derivatives
-        self._quantities = [self._of(m) for m in self.engines]
-        self.derivable = [
-            *(of_member(m.name, q.name) for m, qs in zip(self.engines, self._quantities, strict=True) for q in qs),
-            *self.joined.face.names,
-        ]
-        self.derivable = [n for n in self.own_names if n in {*self.derivable, *self._columns.totals}]
-        self._given = [m.instance.x[: m.model.step.nx].copy() for m in self.engines]
+        self._quantities = [m.quantities for m in self.maps.members]
+        named = zip(members, self._quantities, strict=True)
+        can = {*(of_member(m.name, q.name) for m, qs in named for q in qs if q.block), *self.joined.face.names}
+        can |= set() if self.with_units else {*self._columns.totals}
+        self.derivable = [n for n in self.own_names if n in can]
+        self._given = self.states_now()
         self.forget()
+
+    def _map(self, m: Member, part: Part, own: By, wired: Sequence[int] = ()) -> AnyMaps:
+        """The derivatives of a member's steps."""
+        if isinstance(m, FMUMember):
+            return UnitMaps(m, part, own)
+        assert isinstance(m, EngineMember)
+        return MemberMaps(m, part, own, wired, moves=self.lands)
+
+    @property
+    def known(self) -> Given:
+        """Start values, sizes, limits and units of what members can be derived by."""
+        return Given.joined({m.member.name: m.known for m in self.maps.members})
+
+    @property
+    def identity(self) -> tuple[Any, ...]:
+        """What runs that are kept belong to."""
+        if not self.with_units:
+            return identity_of(self.model)
+        tokens = [m.unit.interface.token for m in self.joined.members if isinstance(m, FMUMember)]
+        return self.joined.network.name, tokens, sorted(self.known.start.items())
+
+    @property
+    def moves(self) -> bool:
+        """Whether times of rows move with the values."""
+        return self.events is not None
 
     @cached_property
     def model(self) -> Model:
-        """The same members as one model, which the start is derived by."""
+        """The same members as one model, which the start is derived by; not with units."""
         return build_model(self.joined.network.compose(), self.engines[0].model.scheme)
 
     def notes(self) -> list[str]:
@@ -125,19 +150,9 @@ class DerivedMembers(Coupled):
     def begin(self, values: Mapping[str, float]) -> None:
         """Back to the start, with other parameters, start values or held inputs, by scalar name."""
         self._given = []
-        for m, place in zip(self.engines, self.joined.places, strict=True):
-            d, u = m.model.declaration, m.start_inputs()
-            p, x = m.model.p0.copy(), m.model.x0.copy()
-            kinds = ((d.parameters, p), (d.states, x))
-            for names, to in (*(([n for v in vs for n in v.names()], to) for vs, to in kinds), (m.input_names, u)):
-                for i, n in enumerate(names):
-                    to[i] = values.get(of_member(m.name, n), to[i])
-            m.instance.reset()
-            m.instance.set_parameters(p)
-            m.set_input(u)
-            m.instance.set_x(m.model.t0, x)
-            m.instance.initialise()
-            self.joined.free[place] = u
+        for m, place in zip(self.maps.members, self.joined.places, strict=True):
+            own = scalars_in(m.member.name, [*values])
+            x, self.joined.free[place] = m.start({n: values[of_member(m.member.name, n)] for n in own})
             self._given.append(x)
         self.joined.free[self.joined.face.fed] = 0.0
         self._sums.forget()
@@ -152,21 +167,16 @@ class DerivedMembers(Coupled):
         """ValueError for a column that has no derivatives."""
         if name in self.own_names and name not in self.derivable:
             network = self.joined.network
+            member = next((m for m in self.joined.members if name.startswith(f"{m.name}.")), None)
+            if isinstance(member, FMUMember):
+                raise ValueError(
+                    f"{network.name}: the unit '{member.name}' tells no derivative of {name} (energies of the unit have none, "
+                    "those through its ports have); leave it out"
+                )
             raise ValueError(
                 f"{network.name}: {name} is told at an instant that members stepped apart do not solve, and has no "
                 f"derivative; leave it out, or {network.to_compose}"
             )
-
-    def _own(self, m: EngineMember) -> By:
-        """The names of a member."""
-        known = m.model.declaration
-        scalars = {n for v in (*known.parameters, *known.states) for n in v.names()}
-        scalars |= {n for p in known.ports if p.external and not p.signal for n in p.input_names()}
-        return By.of(known, [n for n in scalars_in(m.name, self.by.names) if n in scalars])
-
-    def _of(self, m: EngineMember) -> list[Quantity]:
-        known = {q.name: q for q in quantities(m.model)}
-        return [known[n] for n in m.names]
 
     def _require_smooth(self) -> None:
         """ValueError for what has no derivatives here."""
@@ -188,8 +198,12 @@ class DerivedMembers(Coupled):
             raise ValueError(
                 f"{name}: signals that are held over a step ({held}) have no derivatives; {instead}, where they are exact"
             )
-        for m in self.joined.members:
-            assert isinstance(m, EngineMember)
+        if self.with_units and self.lands:
+            raise ValueError(
+                f"{name} has state events on which its members land together, through which there are no derivatives beside "
+                "units; take declarations as members"
+            )
+        for m in self.engines:
             self._require_landing(m)
             if m.parts != 1:
                 raise ValueError(
@@ -287,26 +301,26 @@ class DerivedMembers(Coupled):
         if self.joined.followed is not None:
             self.by.require_constant(self.joined.network.name, self.joined.followed.data.names)
         before, states = self.states_now(), self.joined.states() if self.maps.in_turn else []
-        given = [self._outside(i, t0, h, k) for i in range(len(self.engines))]
+        given = [self._outside(i, t0, h, k) for i in range(len(self.maps.members))]
+        for m in self.maps.members:
+            m.ready()
         steps = super().advance(t0, h, 1, k)
         return steps, self.joint_step(before, given, t0 + k * h, h, states)
 
     def states_now(self) -> list[Array]:
         """States of the members."""
-        return [m.instance.x[: m.model.step.nx].copy() for m in self.engines]
+        return [m.state() for m in self.maps.members]
 
     def landed_step(self, before: list[Array], t: float, h: float) -> JointSteps:
         """What the step from t by h that all have landed is derived by."""
-        return self.joint_step(before, [self._outside(i, t, h, 0) for i in range(len(self.engines))], t, h, [])
+        return self.joint_step(before, [self._outside(i, t, h, 0) for i in range(len(self.maps.members))], t, h, [])
 
     def joint_step(self, before: list[Array], given: list[Array], t: float, h: float, states: list[Any]) -> JointSteps:
         """What the step that was taken last, from t and the states `before`, is derived by; given: inputs from outside at its
         nodes; states: all that members are at t, where they step in turn."""
-        parts = list[MemberSteps]()
+        parts = list[Any]()
         z, instants = self.maps.unknowns(self.master.unknowns, self.joined, states, given, t)
         for m, x, u in zip(self.maps.members, before, given, strict=True):
-            if m.member.instance.solves != 1:
-                raise in_parts(m.member.model, t, h)
             parts.append(m.stepped(z[m.part.col], u, x, t, h))
         return JointSteps(parts, z[None], instants)
 
@@ -335,11 +349,23 @@ class DerivedMembers(Coupled):
 
     # -- rows ------------------------------------------------------------------------------------------------------------
 
+    def _row_of(self, blocks: Sequence[dict[str, Array]], junctions: Array) -> Array:
+        """Derivatives of all columns (rows x columns x names) from those of the members' blocks and of the junctions."""
+        n, width = len(junctions), len(self.by.names)
+        own = [of_quantities(qs, b, self.by) for qs, b in zip(self._quantities, blocks, strict=True)]
+        rest = np.zeros((n, len(self._sums.names), width))
+        all_ = np.concatenate([*own, junctions, rest], axis=1)
+        return np.moveaxis(self._columns.rows(np.moveaxis(all_, 1, 2)), 2, 1)
+
     def at_start(self, row: Array) -> tuple[list[Array], Array]:
         """Tangents (nx x names) of the states of members at the start, and of a row of it (columns x names).
 
-        The start and what follows at its instant are those of the composed model; columns that it does not have are NaN.
+        The start and what follows at its instant are those of the composed model; columns that it does not have are NaN.  With
+        units there is none, and they are those of the members and their junctions (`apart_start.py`).
         """
+        if self.with_units:
+            start = ApartStart(self.joined, self._sums, self.maps.members, self.at, self.by)
+            return start.slopes(self._given, self.last.xi, self._row_of)
         model, d = self.model, self.model.declaration
         now = dict(zip(self.own_names, row.tolist(), strict=True))
         states = {of_member(m.name, n): v for m in self.engines for n, v in m.states.items()}
@@ -376,6 +402,42 @@ class DerivedMembers(Coupled):
         return S, slopes
 
 
+def by_of(joined: Joined, names: Sequence[str]) -> By:
+    """What members stepped apart are derived by.  KeyError for names that are none; ValueError for units without derivatives."""
+    if not any(isinstance(m, FMUMember) for m in joined.members):
+        return By.of(joined.network.compose(), names)
+    _require_derivable(joined.network, joined.members)
+    lists: list[list[str]] = [[], [], []]
+    for m in joined.members:
+        for to, own in zip(lists, _scalars(m), strict=True):
+            to += [of_member(m.name, n) for n in own]
+    free = joined.free_inputs()
+    p, u, x = lists
+    known = [*p, *(n for n in u if n in free), *x]
+
+    def unknown(name: str) -> str:
+        return f"{joined.network.name} has no parameter, free input or state '{name}'; {meant(name, known)}"
+
+    return By.chosen(p, [n for n in u if n in free], x, names, unknown)
+
+
+def _scalars(m: Member) -> tuple[list[str], list[str], list[str]]:
+    """Parameters, inputs of ports and states of a member by its own names."""
+    if isinstance(m, FMUMember):
+        return scalars_of(m)
+    assert isinstance(m, EngineMember)
+    d = m.model.declaration
+    p, x = ([n for v in own for n in v.names()] for own in (d.parameters, d.states))
+    return p, [n for q in d.ports if q.external and not q.signal for n in q.input_names()], x
+
+
+def _own(m: Member, names: Sequence[str]) -> By:
+    """The names of a member."""
+    known = _scalars(m)
+    scalars = {n for own in known for n in own}
+    return By.chosen(*known, [n for n in scalars_in(m.name, names) if n in scalars])
+
+
 def scalars_in(member: str, names: Sequence[str]) -> list[str]:
     """The names of a member's own among those of the whole."""
     return [n.removeprefix(f"{member}.") for n in names if not member or n.startswith(f"{member}.")]
@@ -389,24 +451,24 @@ def _filled(values: Array, names: Sequence[str], known: Mapping[str, float]) -> 
     return found
 
 
-def _require_engines(network: Network, members: Sequence[Member]) -> None:
-    """ValueError names units, which have no derivatives here: of each what its functions of FMI tell, and what they do not."""
+def _require_derivable(network: Network, members: Sequence[Member]) -> None:
+    """ValueError names units without derivatives, and what each lacks."""
     units = [m.inner if isinstance(m, SteppedLast) else m for m in members if not isinstance(m, EngineMember)]
-    if not units:
-        return
-    why, own = dict[str, list[str]](), True
-    for m in units:
-        words = _NO_DERIVATIVES
-        if isinstance(m, FMUMember):
-            own &= not m.unit.estimated
-            words = (
-                _NO_DERIVATIVES if not m.unit.interface.derivatives else _OF_POINTS if m.unit.estimated else _OF_STEPS
-            )
-        why.setdefault(words, []).append(m.name)
-    told = "; ".join(f"{', '.join(names)}: {words}" for words, names in why.items())
-    remedy = (
-        "take the declarations they were exported from as members"
-        if own
-        else "declare them, or take differences of whole runs (phfmu sweep)"
+    _require_nothing_missing(
+        network, {m.name: why_not(m) if isinstance(m, FMUMember) else _NO_DERIVATIVES for m in units}
     )
-    raise ValueError(f"{network.name}: there are no derivatives of runs through units: {told}; {remedy}")
+    if late := [m.name for m in members if isinstance(m, SteppedLast)]:
+        raise ValueError(
+            f"{network.name}: there are no derivatives of runs through units that are stepped last ({', '.join(late)}); "
+            f"{_REMEDY}"
+        )
+
+
+def _require_nothing_missing(network: Network, missing: Mapping[str, str]) -> None:
+    why = dict[str, list[str]]()
+    for name, words in missing.items():
+        if words:
+            why.setdefault(words, []).append(name)
+    if why:
+        told = "; ".join(f"{', '.join(names)}: {words}" for words, names in why.items())
+        raise ValueError(f"{network.name}: there are no derivatives of runs through units: {told}; {_REMEDY}")

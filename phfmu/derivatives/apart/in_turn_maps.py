@@ -12,31 +12,37 @@ Source: implicit function theorem; `network/couplings/runtime/in_turn.c` for the
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.derivatives.apart.joint_maps import JointSlopes, JointSteps, at_once
-from phfmu.derivatives.apart.member_maps import Instants, MemberMaps
+from phfmu.derivatives.apart.joint_maps import AnyMaps, JointSlopes, JointSteps, at_once
+from phfmu.derivatives.apart.member_maps import MemberMaps
 from phfmu.derivatives.by import By
 from phfmu.network.couplings.compiled.master_pattern import Exchanged, Part
 from phfmu.network.interface.instant import Instant
 from phfmu.network.interface.joined import Joined
-from phfmu.network.members.engine_member import EngineMember
+from phfmu.network.members.member import Member
 
 Array = NDArray[np.float64]
 
 
 class InTurnMaps:
     """Members, each with its part in the interface and the names that it is derived by; `groups`: places of those that step at
-    once, in the order in which they step."""
+    once, in the order in which they step; `made`: makes the maps of each."""
 
     in_turn = True
 
-    def __init__(self, exchanged: Exchanged, members: Sequence[tuple[EngineMember, Part, By]], groups: list[list[int]]):
+    def __init__(
+        self,
+        exchanged: Exchanged,
+        members: Sequence[tuple[Member, Part, By]],
+        groups: list[list[int]],
+        made: Callable[[Member, Part, By], AnyMaps],
+    ):
         self._groups, self._n, self._instant = groups, exchanged.nodes, Instant()
         #: by member, the number of its group
         self._group = np.argsort(np.concatenate([np.array(g, int) for g in groups]), kind="stable")
@@ -45,8 +51,7 @@ class InTurnMaps:
         n, size = self._n, self._n * len(groups)
         self.at_once = at_once(size)
         self.members = [
-            MemberMaps(m, replace(part, col=part.col + n * self._group[i]), by)
-            for i, (m, part, by) in enumerate(members)
+            made(m, replace(part, col=part.col + n * self._group[i]), by) for i, (m, part, by) in enumerate(members)
         ]
         self._C = np.zeros((n, n))
         np.add.at(self._C, (exchanged.skew_row, exchanged.skew_col), exchanged.skew)
@@ -60,11 +65,11 @@ class InTurnMaps:
 
     def unknowns(
         self, z: Array, joined: Joined, before: list[Any], given: list[Array], t: float
-    ) -> tuple[Array, tuple[Instants, ...]]:
+    ) -> tuple[Array, tuple[Any, ...]]:
         """The unknowns of the step from t that was taken last, and where members were asked for their outputs, by looking at its
         instants again; before: states of the members at t; given: their inputs from outside; z: where to start from."""
         after, free, xi = joined.states(), joined.free.copy(), z.copy()
-        points: list[list[tuple[Array, ...]]] = [[] for _ in self.members]
+        points: list[list[Any]] = [[] for _ in self.members]
         found = list[Array]()
         try:
             for place, own in zip(joined.places, given, strict=True):
@@ -74,17 +79,16 @@ class InTurnMaps:
                 xi = self._instant.solve(joined, xi, t)
                 found.append(xi)
                 for m, to in zip(self.members, points, strict=True):
-                    i = m.member.instance
-                    to.append((np.array(i.time), i.x[: m.nx], i.held_input, i.signal("a_end")))
+                    to.append(m.looked())
                 for i in own:
                     joined.members[i].set_state(after[i])
         finally:
             joined.free[:] = free
             joined.restore(after)
             for m in self.members:
-                m.member.took(m.member.instance.held_input)
-        rows = (zip(*p, strict=True) for p in points)
-        return np.concatenate(found), tuple(Instants(*(np.array(v, float)[None] for v in own)) for own in rows)
+                if isinstance(m, MemberMaps):
+                    m.member.took(m.member.instance.held_input)
+        return np.concatenate(found), tuple(m.looks(own) for m, own in zip(self.members, points, strict=True))
 
     def means(self, h: Array) -> Array:
         """Means of the columns over steps of lengths h (n) by the unknowns (n x columns x unknowns)."""
@@ -107,7 +111,7 @@ class InTurnMaps:
             matrix[:, b, b] = self._C
         for i, (m, own, act) in enumerate(zip(self.members, found, acts, strict=True)):
             nx, first, mine = m.nx, m.given, int(self._group[i])
-            outputs = m.presented(steps.instants[i], steps.parts[i].taken.p, act)
+            outputs = m.presented(steps.instants[i], steps.parts[i], act)
             asked = np.einsum("ro,ngoc->ngrc", m.left[:, : m.part.nu], outputs)
             by = asked[..., :first].copy()
             own_columns = m.part.col - N * mine

@@ -18,13 +18,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.derivatives.apart.member_maps import Instants, Linearised, MemberMaps, MemberSteps
+from phfmu.derivatives.apart.member_maps import Linearised, MemberMaps
+from phfmu.derivatives.apart.unit_maps import UnitMaps
 from phfmu.network.couplings.compiled.master_pattern import Exchanged
 from phfmu.network.interface.joined import Joined
 from phfmu.schemes.impulses import POINTS
 
 Array = NDArray[np.float64]
 
+#: members stepped by engines, and units
+AnyMaps = MemberMaps | UnitMaps
 #: cos^2 of the angles of the rule for T
 COSINES = np.cos((2 * np.arange(1, POINTS + 1) - 1) * np.pi / (4 * POINTS)) ** 2
 #: steps that are linearised at a time, and numbers of their matrices, at most
@@ -33,12 +36,17 @@ STEPS, ROOM = 256, 8_000_000
 
 @dataclass(frozen=True)
 class JointSteps:
-    """Steps of all members: `parts` of each, unknowns z of the interface (n x unknowns), and where members step in turn the
-    `instants` at which each is asked for its outputs."""
+    """Steps of all members: `parts` of each (`MemberSteps` or `UnitSteps`), unknowns z of the interface (n x unknowns), and where
+    members step in turn the `instants` at which each is asked for its outputs."""
 
-    parts: list[MemberSteps]
+    parts: list[Any]
     z: Array
-    instants: tuple[Instants, ...] = ()
+    instants: tuple[Any, ...] = ()
+
+    @property
+    def h(self) -> Array:
+        """Lengths (n)."""
+        return self.parts[0].h
 
     def some(self, which: slice) -> JointSteps:
         """Some of them."""
@@ -48,8 +56,8 @@ class JointSteps:
 
     @staticmethod
     def joined(steps: Sequence[JointSteps]) -> JointSteps:
-        parts = [MemberSteps.joined(list(own)) for own in zip(*(s.parts for s in steps), strict=True)]
-        instants = (Instants.joined(list(own)) for own in zip(*(s.instants for s in steps), strict=True))
+        parts = [own[0].joined(list(own)) for own in zip(*(s.parts for s in steps), strict=True)]
+        instants = (own[0].joined(list(own)) for own in zip(*(s.instants for s in steps), strict=True))
         return JointSteps(parts, np.concatenate([s.z for s in steps]), tuple(instants))
 
 
@@ -98,7 +106,7 @@ class JointMaps:
     #: whether members step one after the other, so that the states before a step are needed to look at it again
     in_turn = False
 
-    def __init__(self, exchanged: Exchanged, members: Sequence[MemberMaps]):
+    def __init__(self, exchanged: Exchanged, members: Sequence[AnyMaps]):
         self.exchanged, self.members = exchanged, list(members)
         e, N = exchanged, exchanged.size
         self.at_once = at_once(N)
@@ -116,7 +124,7 @@ class JointMaps:
 
     def unknowns(
         self, z: Array, joined: Joined, before: list[Any], given: list[Array], t: float
-    ) -> tuple[Array, tuple[Instants, ...]]:
+    ) -> tuple[Array, tuple[Any, ...]]:
         """The unknowns of the step from t that was taken last: what the master has left."""
         return z.copy(), ()
 
@@ -159,14 +167,14 @@ class JointMaps:
         m, wires = self.members[member], self.exchanged.wires.tolist()
         return [(w, m.wired.index(i)) for w, (_, _, target, i) in enumerate(wires) if target == member]
 
-    def _wired(self) -> list[tuple[int, MemberMaps, int]]:
+    def _wired(self) -> list[tuple[int, AnyMaps, int]]:
         return [(w, m, i) for j, m in enumerate(self.members) for w, i in self._into(j)]
 
     def means(self, h: Array) -> Array:
         """Means of the columns over steps of lengths h (n) by the unknowns (n x columns x unknowns)."""
         return self._means + self._thrown / h[:, None, None]
 
-    def _whole(self, m: MemberMaps, rows: Array) -> Array:
+    def _whole(self, m: AnyMaps, rows: Array) -> Array:
         found = np.zeros((len(rows), self.exchanged.size))
         found[:, m.part.col] = rows
         return found
@@ -203,9 +211,8 @@ class JointMaps:
         S = np.zeros((2, n, nb, nb))
         for m, own, to in zip(self.members, steps.parts, self._to, strict=True):
             if m.part.kicks and nb:
-                p = np.broadcast_to(own.taken.p, (n, len(own.taken.p)))
-                for side, x in enumerate((own.taken.before, own.taken.after)):
-                    S[side] += to.T @ m.slopes.jump(x, p) @ to
+                for side, own_jump in enumerate(m.jumps(own)):
+                    S[side] += to.T @ own_jump @ to
         v = np.zeros((n, 2, 1 + POINTS, nb))
         if not nb:
             return np.zeros((n, 0, 0)), np.zeros((n, POINTS, 0, 0)), v

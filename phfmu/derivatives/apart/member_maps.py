@@ -8,7 +8,7 @@ at the nodes of its junctions, impulses at start and end.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -17,12 +17,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.derivatives.apart.kicks import KickSlopes
-from phfmu.derivatives.by import By
+from phfmu.derivatives.by import By, Given
 from phfmu.derivatives.plan_function import PlanFunction, Point, Rows
-from phfmu.derivatives.tangents import OF_INSTANT, OF_STEP, Taken, places, told_of_instant, told_of_step, weights_at_end
+from phfmu.derivatives.tangents import (
+    OF_INSTANT,
+    OF_STEP,
+    Taken,
+    in_parts,
+    places,
+    told_of_instant,
+    told_of_step,
+    weights_at_end,
+    with_sums,
+)
 from phfmu.network.couplings.compiled.master_pattern import Part
 from phfmu.network.members.engine_member import EngineMember
 from phfmu.schemes.impulses import POINTS
+from phfmu.signals import Quantity, quantities
 
 Array = NDArray[np.float64]
 
@@ -39,6 +50,11 @@ class MemberSteps:
     taken: Taken
     impulses: Array
     ends: Array
+
+    @property
+    def h(self) -> Array:
+        """Their lengths (n)."""
+        return self.taken.h
 
     def some(self, which: slice) -> MemberSteps:
         """Some of them."""
@@ -75,6 +91,32 @@ class Instants:
 
 
 @dataclass(frozen=True)
+class Wiring:
+    """The part of a member in the interface as matrices: inputs at the k nodes of its steps by the unknowns that reach it
+    (`feed`, k nu x unknowns), impulses at start and end by these (`kicks`, 2 x kicks x unknowns), rows of the interface by
+    outputs at nodes and at the end (`left`, rows x k nu + nu)."""
+
+    feed: Array
+    kicks: Array
+    left: Array
+
+    @staticmethod
+    def of(part: Part, k: int) -> Wiring:
+        """k: nodes of the member's steps, of which one that takes held values tells one."""
+        reached, n, kicked = len(part.col), len(part.inputs), len(part.kicked)
+        feed, kicks = np.zeros((part.k * part.nu, reached)), np.zeros((2, part.kicks, reached))
+        for i, c, value in zip(part.right_direction, part.right_col, part.right, strict=True):
+            if i < n:
+                feed[part.inputs[i], c] += value
+            else:
+                side, place = divmod(int(i) - n, kicked)
+                kicks[side, part.kicked[place], c] += value
+        left = np.zeros((len(part.row), part.k * part.nu + part.nu))
+        np.add.at(left, (part.left_row, part.left_output), part.left)
+        return Wiring(np.tile(feed, (k, 1)) if part.held else feed, kicks, left)
+
+
+@dataclass(frozen=True)
 class Linearised:
     """Per step the derivatives by [x0 | names | moves | unknowns that reach it]: of x1, of what is told, of outputs at nodes and
     the end (k nu + nu), and of S0 v before and S1 v after the step (vectors x kicks).  `passed`: derivatives of what is told by
@@ -103,7 +145,8 @@ class MemberMaps:
         #: columns of derivatives by start and length of a step, then by the unknowns of the interface
         self.moves = slice(self.nx + self.names, self.nx + self.names + 2 * moves)
         self.given = self.moves.stop
-        self._feed = self._fed(plan.k)
+        wiring = Wiring.of(part, plan.k)
+        self._feed, self.kicks, self.left = wiring.feed, wiring.kicks, wiring.left
         self._nodes = np.flatnonzero(self._feed.any(axis=1)).tolist()
         last = weights_at_end(model)
         #: of the inputs at the end of a step (nu x unknowns)
@@ -122,30 +165,56 @@ class MemberMaps:
         self.of_instant = {n: slice(s.start + start, s.stop + start) for n, s in places(OF_INSTANT, sizes).items()}
         #: how much is told of a step and at its end
         self.told = self.of_instant["H"].stop
-        #: impulses at start and end by the unknowns (2 x kicks x unknowns)
-        self.kicks = np.zeros((2, part.kicks, self.reached))
-        n, kicked = len(part.inputs), len(part.kicked)
-        for i, c, value in zip(part.right_direction, part.right_col, part.right, strict=True):
-            if i >= n:
-                side, place = divmod(int(i) - n, kicked)
-                self.kicks[side, part.kicked[place], c] += value
-        #: rows of the interface by outputs at nodes and at the end
-        self.left = np.zeros((len(part.row), part.k * part.nu + part.nu))
-        np.add.at(self.left, (part.left_row, part.left_output), part.left)
-
-    def _fed(self, k: int) -> Array:
-        """Inputs at the k nodes of the member's steps by the unknowns that reach it (k nu x unknowns)."""
-        part = self.part
-        found = np.zeros((part.k * part.nu, self.reached))
-        for i, c, value in zip(part.right_direction, part.right_col, part.right, strict=True):
-            if i < len(part.inputs):
-                found[part.inputs[i], c] += value
-        return np.tile(found, (k, 1)) if part.held else found
 
     @cached_property
     def slopes(self) -> KickSlopes:
         """Derivatives of the member's impulses, made when they are first asked for."""
         return KickSlopes(self.member.model.declaration, self.by.directions.parameters, 1 + POINTS)
+
+    # -- the start ---------------------------------------------------------------------------------------------------------
+
+    def start(self, values: Mapping[str, float]) -> tuple[Array, Array]:
+        """Back to the start with other values of the member's own names: states as given (nx) and inputs (nu)."""
+        m, d = self.member, self.member.model.declaration
+        p, x, u = m.model.p0.copy(), m.model.x0.copy(), m.start_inputs()
+        kinds = ((d.parameters, p), (d.states, x))
+        for names, to in (*(([n for v in vs for n in v.names()], to) for vs, to in kinds), (m.input_names, u)):
+            for i, n in enumerate(names):
+                to[i] = values.get(n, to[i])
+        m.instance.reset()
+        m.instance.set_parameters(p)
+        m.set_input(u)
+        m.instance.set_x(m.model.t0, x)
+        m.instance.initialise()
+        return x, u
+
+    def state(self) -> Array:
+        """The present states (nx)."""
+        return self.member.instance.x[: self.nx].copy()
+
+    @property
+    def quantities(self) -> list[Quantity]:
+        """Of each column of the member what it is."""
+        known = {q.name: q for q in quantities(self.member.model)}
+        return [known[n] for n in self.member.names]
+
+    @property
+    def known(self) -> Given:
+        """Start values, sizes, limits and units of what it can be derived by."""
+        return Given.of(self.member.model)
+
+    def as_means(self, block: dict[str, Array]) -> dict[str, Array]:
+        """Means at the start, which are the values of its instant, of the blocks now."""
+        return {"a": block["a_end"], "y_step": block["y_end"]}
+
+    def sums(self, width: int) -> dict[str, Array]:
+        """Derivatives of energies since the start, at the start."""
+        plan = self.member.model.step
+        return {"energy": np.zeros((plan.nq, width)), "dissipated": np.zeros((plan.ncomp, width))}
+
+    def with_sums(self, blocks: dict[str, Array], sums: dict[str, Array]) -> dict[str, Array]:
+        """The blocks with energies since the start."""
+        return with_sums(self.member.model.step, blocks, sums)
 
     # -- steps ---------------------------------------------------------------------------------------------------------
 
@@ -153,6 +222,8 @@ class MemberMaps:
         """The step that was taken last, from t and the states `before`; z: the unknowns that reach it, `given`: its inputs from
         outside at the nodes of the interface (k nu).  ValueError where it was taken in parts."""
         i, k = self.member.instance, self.member.model.step.k
+        if i.solves != 1:
+            raise in_parts(self.member.model, t, h)
         own = np.tile(given, k) if self.part.held else given
         u = own + self._feed @ z
         end = self._last @ u.reshape(len(self._last), -1)
@@ -161,6 +232,15 @@ class MemberMaps:
         after, w, u, a_end, end = (np.array(v, float)[None] for v in row)
         taken = Taken(np.array([t]), np.array([h]), before[None], after, w, u, i.parameters.copy(), a_end)
         return MemberSteps(taken, (self.kicks @ z)[None], end)
+
+    def ready(self) -> None:
+        """Before a step: nothing, its states there are kept."""
+
+    def jumps(self, steps: MemberSteps) -> tuple[Array, Array]:
+        """S (n x kicks x kicks) before and after steps."""
+        t = steps.taken
+        p = np.broadcast_to(t.p, (len(t.t), len(t.p)))
+        return self.slopes.jump(t.before, p), self.slopes.jump(t.after, p)
 
     # -- derivatives -----------------------------------------------------------------------------------------------------
 
@@ -197,11 +277,32 @@ class MemberMaps:
         passed = np.concatenate([np.zeros((n, stop, len(self.wired))), by_signals], axis=1)
         return Linearised(X, np.concatenate([told, ends], axis=1), outputs, before, after, passed)
 
-    def presented(self, at: Instants, p: Array, acts: Array) -> Array:
+    def looked(self) -> tuple[Array, ...]:
+        """The member at the present instant, of which `looks` makes what `presented` takes."""
+        i = self.member.instance
+        return tuple(np.array(v, float) for v in (i.time, i.x[: self.nx], i.held_input, i.signal("a_end")))
+
+    def looks(self, found: Sequence[tuple[Array, ...]]) -> Instants:
+        """Instants of one step."""
+        return Instants(*(np.array(v)[None] for v in zip(*found, strict=True)))
+
+    def now(self) -> tuple[Array, Array]:
+        """Derivatives of what is told at the present instant, and of outputs, by [states | names | inputs there]."""
+        i, nx, nu = self.member.instance, self.nx, self.part.nu
+        point = i.x[None, :nx], i.held_input[None], i.parameters, i.signal("a_end")[None]
+        found = self._instant.at_instants(np.array([i.time]), *point)[0]
+        first = nx + self.by.directions.n
+        by_u = np.zeros((len(found), nu))
+        by_u[:, self._fed_end] = found[:, first : first + len(self._fed_end)]
+        told = np.concatenate([found[:, :nx], self.by.spread(found[:, nx:first]), by_u], axis=1)
+        start = self.of_instant["y_end"].start - self.of_step["dissipated"].stop
+        return told, told[start : start + nu]
+
+    def presented(self, at: Instants, steps: MemberSteps, acts: Array) -> Array:
         """Derivatives (n x instants x nu x columns) of the outputs at instants by [states there | names | unknowns there]."""
         n, count = at.t.shape
         x, u, a = (v.reshape(n * count, -1) for v in (at.x, at.u, at.a))
-        found = self._instant.at_instants(at.t.ravel(), x, u, p, a)
+        found = self._instant.at_instants(at.t.ravel(), x, u, steps.taken.p, a)
         first = self.of_instant["y_end"].start - self.of_step["dissipated"].stop
         found = found[:, first : first + self.part.nu]
         C = self.given + self.reached

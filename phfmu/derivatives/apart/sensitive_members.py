@@ -11,17 +11,16 @@ from numpy.typing import NDArray
 
 from phfmu.derivatives.apart.derived_members import DerivedMembers
 from phfmu.derivatives.apart.joint_maps import JointSlopes, JointSteps
-from phfmu.derivatives.apart.member_maps import Instants
+from phfmu.derivatives.apart.member_maps import Instants, MemberMaps
 from phfmu.derivatives.event_maps import Instant
 from phfmu.derivatives.measured import TIME
 from phfmu.derivatives.sensitive import quotient, slope_units
-from phfmu.derivatives.tangents import of_quantities, with_sums
 from phfmu.interrupt import Interrupted
 from phfmu.network.couplings.coupled import Coupled
 from phfmu.network.couplings.stepper import Landing
 from phfmu.outcome.status import StepFailure
 from phfmu.outcome.steps import Steps
-from phfmu.signals import SignalKind, derivative_name, of_member
+from phfmu.signals import SignalKind, derivative_name
 
 Array = NDArray[np.float64]
 
@@ -76,13 +75,7 @@ class SensitiveMembers(DerivedMembers):
     @property
     def units(self) -> dict[str, str]:
         own = super().units
-        given = {
-            of_member(m.name, n): v.unit
-            for m in self.engines
-            for v in (*m.model.declaration.parameters, *m.model.declaration.states)
-            for n in v.names()
-        }
-        given |= own
+        given = self.known.units | own
         moved = {m: quotient("s", given.get(n, "1")) for m, n in zip(self._times, self.by.names, strict=False)}
         return own | moved | slope_units(self.derived_names, self.by.names, own, given)
 
@@ -100,8 +93,7 @@ class SensitiveMembers(DerivedMembers):
         if not self._begun:
             self._S, slopes = self.at_start(own)
             width = len(self.by.names)
-            sizes = [(m.member.model.step.nq, m.member.model.step.ncomp) for m in self.maps.members]
-            self._energies = [{"energy": np.zeros((q, width)), "dissipated": np.zeros((c, width))} for q, c in sizes]
+            self._energies = [m.sums(width) for m in self.maps.members]
             self._T = np.zeros(width)
             self._xi = slopes[[self.own_names.index(n) for n in self.joined.face.names]]
             self._row_slopes = np.concatenate([np.zeros(len(self._times)), slopes[self._places].ravel()])
@@ -156,7 +148,7 @@ class SensitiveMembers(DerivedMembers):
         self.maps.passed_on(slopes, told, dz)
         states = (own.x @ d for own, d in zip(slopes.members, D, strict=True))
         blocks = [self._blocks(j, own, S) for j, (own, S) in enumerate(zip(told, states, strict=True))]
-        junctions = (self.maps.means(steps.parts[0].taken.h) @ dz)[:, : len(self.joined.face.names)]
+        junctions = (self.maps.means(steps.h) @ dz)[:, : len(self.joined.face.names)]
         self._xi, self._blocks_now = junctions[-1], blocks
         return self._rows_of(blocks, junctions)
 
@@ -225,6 +217,7 @@ class SensitiveMembers(DerivedMembers):
         self._xi = self._xi if solved is None else solved
         for j, (m, S, names) in enumerate(zip(self.maps.members, self._S, self.at, strict=True)):
             own, P = self.joined.reach(j)
+            assert isinstance(m, MemberMaps)
             i = m.member.instance
             point = Instants(
                 *(np.array(v, float)[None, None] for v in (i.time, i.x[: m.nx], i.held_input, i.signal("a_end")))
@@ -238,7 +231,7 @@ class SensitiveMembers(DerivedMembers):
                 means = {n: self._blocks_now[j][n][-1:] for n in means}
             found |= means | {"x": S[None]}
             sums = {name: sum_[None] for name, sum_ in self._energies[j].items()}
-            blocks.append(with_sums(m.member.model.step, found, sums))
+            blocks.append(m.with_sums(found, sums))
         self._blocks_now = blocks
         return self._rows_of(blocks, self._xi[None])[0]
 
@@ -246,19 +239,15 @@ class SensitiveMembers(DerivedMembers):
         """Blocks of member j: name -> (n x entries x names)."""
         m = self.maps.members[j]
         blocks = {n: told[:, place] for n, place in (m.of_step | m.of_instant).items()} | {"x": S}
-        plan = m.member.model.step
         sums = {}
         for name, start in self._energies[j].items():
             sums[name] = start + np.cumsum(blocks.pop(name), axis=0)
             self._energies[j][name] = sums[name][-1]
-        return with_sums(plan, blocks, sums)
+        return m.with_sums(blocks, sums)
 
     def _rows_of(self, blocks: list[dict[str, Array]], junctions: Array) -> Array:
         """Rows of derivatives of the columns that are derived."""
-        n, width = len(junctions), len(self.by.names)
-        own = [of_quantities(qs, b, self.by) for qs, b in zip(self._quantities, blocks, strict=True)]
-        rest = np.zeros((n, len(self._sums.names), width))
-        all_ = np.concatenate([*own, junctions, rest], axis=1)
-        rows = np.moveaxis(self._columns.rows(np.moveaxis(all_, 1, 2)), 2, 1)
-        found = rows[:, self._places].reshape(n, -1)
+        n = len(junctions)
+        width = len(self.by.names)
+        found = self._row_of(blocks, junctions)[:, self._places].reshape(n, -1)
         return np.hstack([np.vstack([np.zeros((n - 1, width)), self._T]), found]) if self._times else found

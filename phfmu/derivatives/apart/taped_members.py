@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from phfmu.derivatives.apart.derived_members import DerivedMembers
 from phfmu.derivatives.apart.in_turn_maps import InTurnMaps
-from phfmu.derivatives.apart.joint_maps import JointMaps, JointSteps
+from phfmu.derivatives.apart.joint_maps import AnyMaps, JointMaps, JointSteps
 from phfmu.derivatives.apart.member_maps import MemberMaps
 from phfmu.network.couplings.coupled import Coupled
 from phfmu.outcome.steps import Steps
@@ -47,12 +47,13 @@ class _Bars:
     told: Array
     x: Array
 
-    def add(self, m: MemberMaps, q: Quantity, c: Array) -> None:
+    def add(self, m: AnyMaps, q: Quantity, c: Array) -> None:
         """Weights c (rows x measures) of a quantity of a member; sums since the start follow all rows before."""
         entries = np.arange(q.first, q.first + q.count)
         if q.block == "x":
             self.x[:, entries] += c[:, None]
         elif q.block == "supplied":
+            assert isinstance(m, MemberMaps)
             pairs = np.flatnonzero(np.isin(m.member.model.step.pair_owner, entries))
             self.told[:, m.of_step["energy"].start + pairs] += _behind(c)[:, None]
         elif q.block in ("energy", "dissipated"):
@@ -132,7 +133,7 @@ class TapedMembers(DerivedMembers):
         maps, first, n = s.maps.members, s.first, len(s.steps.z)
         slopes = s.maps.slopes(s.steps, [s.acts[at] for at in self.at])
         rows = slice(first, first + n)
-        junctions, means = bars[-1].told[rows], s.maps.means(s.steps.parts[0].taken.h)
+        junctions, means = bars[-1].told[rows], s.maps.means(s.steps.h)
         z = np.einsum("ncz,nct->nzt", means[:, : junctions.shape[1]], junctions)
         given = [b.told[rows].copy() for b in bars[:-1]]
         s.maps.passed_back(slopes, given, z)

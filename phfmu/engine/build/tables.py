@@ -153,7 +153,7 @@ class CTables(Filled):
         super().__init__()
         self._plans: CTables | None = None  # tables whose plans these are
         self._index = index
-        self._derived = {"stamp": stamp(), "tangents": None, "code": code}
+        self._derived = {"stamp": stamp(), "tangents": None, "slopes": None, "code": code}
         self._derived |= {name: self._plan(getattr(model, name)) for name in ("step", "instant")}
         self._model = self.fill("ph_model", model, self._derived)
         self.pointer = ctypes.addressof(self._model)
@@ -273,6 +273,7 @@ def c_text(
     symbol: str = "ph_the_model",
     tangents: str = "0",
     code: str = "ph_the_code",
+    slopes: str = "0",
 ) -> str:
     """C source that defines `const ph_model <symbol>`; the same model gives the same bytes."""
     derived = {
@@ -281,12 +282,15 @@ def c_text(
         "instant": "&instant",
         "code": f"&{code}",
         "tangents": tangents,
+        "slopes": slopes,
     }
     arrays, members = struct_text("ph_model", "model", model, derived)
     return (
         '#include "plan.h"\n\n'
         + "".join(
-            f"extern const {kind};\n" for kind in (f"ph_code {code}", f"ph_function {tangents}[]") if " 0[" not in kind
+            f"extern const {kind};\n"
+            for kind in (f"ph_code {code}", f"ph_function {tangents}[]", f"ph_function {slopes}[]")
+            if " 0[" not in kind
         )
         + _plan_text(model.step, "step", index)
         + _plan_text(model.instant, "instant", index)

@@ -77,7 +77,7 @@ class _Ports(Functions):
         super().__init__([getattr(kernels, n) for n in names], compiled)
         forms = kernels.forms
         values = {"n": len(forms.pairs), "nstate": len(forms.states), "pair": forms.pairs, "state": forms.states}
-        values |= {name: self.of(i) for i, name in enumerate(names)}
+        values |= {name: self.of(i) for i, name in enumerate(names)} | {"slopes": None}
         self.ports = ctypes.addressof(self.fill("ph_ports", None, values))
 
 

@@ -61,7 +61,7 @@ class RestChange(ctypes.Structure):
 class Directions(ctypes.Structure):
     """ph_directions."""
 
-    _fields_ = [("n", ctypes.c_int), *((name, ctypes.c_void_p) for name in ("du", "dx", "dy"))]
+    _fields_ = [("n", ctypes.c_int), *((name, ctypes.c_void_p) for name in ("du", "dx", "dy", "dp", "da", "dobs"))]
 
     @classmethod
     def of(cls, du: NDArray[np.float64], dx: NDArray[np.float64], dy: NDArray[np.float64]) -> Directions:

@@ -13,43 +13,56 @@
 
 enum { RESIDUALS, OUTPUTS }; /* which rows are wanted */
 
-/* target += the tangents of one group along dx and chain.dy; an instance along which nothing moves has none.
- */
+/* Entries of `from` at n places into `to`; whether one of them is not zero. */
+static int gathered(double *to, const double *from, const int *place, int n) {
+    int moves = 0;
+    for (int j = 0; j < n; j++) {
+        to[j] = from[place[j]];
+        moves |= to[j] != 0.0;
+    }
+    return moves;
+}
+
+/* target += what a function of the kernel tells at the arguments that chain.arg has. */
+static void add_along(const ph_chain *c, const ph_system *s, const ph_group *g, int i, const ph_function *f,
+                      double *target) {
+    f->call(f, c->arg, c->res, c->iw, c->work, 0);
+    for (int j = 0; j < g->no; j++)
+        target[g->oi[i * g->no + j]] += s->hp[g->power[j]] * c->res[0][j];
+}
+
+/* target += the tangents of one group along dx, chain.dy and chain.dp; an instance along which nothing moves
+ * has none. */
 static void group_along(ph_instance *in, const ph_system *s, const ph_group *g, const double *dx,
                         double *target) {
-    const ph_function *tangent = &in->model->tangents[g->kernel];
     const ph_chain *c = &in->chain;
-    double *x = c->local, *y = x + g->nx, *p = y + g->ny, *ex = p + g->np, *ey = ex + g->nx,
-           *out = ey + g->ny;
-    if (!tangent->call)
+    const ph_function *tangent = &in->model->tangents[g->kernel];
+    const ph_function *slope = c->dp ? &in->model->slopes[g->kernel] : tangent;
+    double *x = c->local, *y = x + g->nx, *p = y + g->ny, *ex = p + g->np, *ey = ex + g->nx, *ep = ey + g->ny;
+    if (!tangent->call && !slope->call)
         return;
     for (int i = 0; i < g->n; i++) {
-        int moves = 0;
-        for (int j = 0; j < g->nx; j++) {
-            ex[j] = dx[g->xi[i * g->nx + j]];
-            moves |= ex[j] != 0.0;
-        }
-        for (int j = 0; j < g->ny; j++) {
-            ey[j] = c->dy[g->yi[i * g->ny + j]];
-            moves |= ey[j] != 0.0;
-        }
-        if (!moves)
+        const int *xi = g->xi + i * g->nx, *yi = g->yi + i * g->ny, *pi = g->pi + i * g->np;
+        int moves = gathered(ex, dx, xi, g->nx), by_parameters = 0;
+        moves |= gathered(ey, c->dy, yi, g->ny);
+        if (c->dp)
+            by_parameters = gathered(ep, c->dp, pi, g->np) && slope->call;
+        if (!moves && !by_parameters)
             continue;
-        for (int j = 0; j < g->nx; j++)
-            x[j] = s->x[g->xi[i * g->nx + j]];
-        for (int j = 0; j < g->ny; j++)
-            y[j] = s->y[g->yi[i * g->ny + j]];
-        for (int j = 0; j < g->np; j++)
-            p[j] = s->p[g->pi[i * g->np + j]];
+        gathered(x, s->x, xi, g->nx);
+        gathered(y, s->y, yi, g->ny);
+        gathered(p, s->p, pi, g->np);
         c->arg[0] = x;
         c->arg[1] = y;
         c->arg[2] = p;
+        c->res[0] = ep + g->np;
+        c->arg[3] = ep;
+        if (by_parameters)
+            add_along(c, s, g, i, slope, target);
         c->arg[3] = ex;
         c->arg[4] = ey;
-        c->res[0] = out;
-        tangent->call(tangent, c->arg, c->res, c->iw, c->work, 0);
-        for (int j = 0; j < g->no; j++)
-            target[g->oi[i * g->no + j]] += s->hp[g->power[j]] * out[j];
+        if (moves && tangent->call)
+            add_along(c, s, g, i, tangent, target);
     }
 }
 
@@ -150,11 +163,17 @@ static int solve_again(ph_instance *in, double from, double length, double h) {
     return PH_OK;
 }
 
-/* That part: what it adds to d->dy, and d->dx at its end. */
+/* a (na) += part times the means of the algebraic variables, or a direction of them, of the unknowns w. */
+static void add_means(const ph_plan *p, double *a, const double *w, double h, double part) {
+    for (int l = 0; l < p->nmean; l++)
+        a[p->mean_a[l]] += part * p->mean_c[l] * w[p->mean_w[l]] / (p->mean_pow[l] < 0 ? h : 1.0);
+}
+
+/* That part: what it adds to d->dy and d->da, and d->dx at its end. */
 static int link(ph_instance *in, double from, double length, const ph_directions *d) {
     ph_system *s = &in->step;
     const ph_plan *p = s->plan;
-    const ph_chain *c = &in->chain;
+    ph_chain *c = &in->chain;
     const int k = p->k, nu = p->nu, width = p->nx + 1 + p->na;
     const double h = in->head->step_h * length;
     int status = solve_again(in, from, length, h);
@@ -169,6 +188,7 @@ static int link(ph_instance *in, double from, double length, const ph_directions
     for (int j = 0; j < d->n; j++) {
         const double *du = d->du + j * k * nu;
         double *dx = d->dx + j * width, *dy = d->dy + j * k * nu;
+        c->dp = d->dp ? d->dp + j * p->np : NULL;
         ph_clear(c->dy, p->nv);
         for (int m = 0; m < k; m++)
             for (int i = 0; i < k; i++)
@@ -181,7 +201,10 @@ static int link(ph_instance *in, double from, double length, const ph_directions
                     dy[i * nu + l] += length * p->weights[m] / p->weights[i] * c->basis[m * k + i] *
                                       c->dr[p->nw + m * p->nq + l];
         advance(p, dx, c->dy, h);
+        if (d->da)
+            add_means(p, d->da + j * p->na, c->dy, h, length);
     }
+    c->dp = NULL;
     advance(p, c->x, s->last, h);
     return PH_OK;
 }
@@ -195,12 +218,14 @@ int ph_step_along(ph_instance *in, const ph_directions *d) {
     const double last_h = *s->last_h;
     long long count[PH_NCOUNT];
     int status = PH_OK;
-    if (!c->x || !ph_solves(in))
+    if (!c->x || (d->dp && !in->model->slopes) || !ph_solves(in))
         return PH_NO_SENSITIVITY;
     memcpy(count, in->count, sizeof(count));
     memcpy(c->last, s->last, sizeof(double) * (size_t)p->nw);
     memcpy(c->x, in->x_old, sizeof(double) * (size_t)(p->nx + 1 + p->na));
     ph_clear(d->dy, d->n * p->k * p->nu);
+    if (d->da)
+        ph_clear(d->da, d->n * p->na);
     if (ph_solves(in) > 1) { /* from where it was solved: to the same solution */
         memcpy(s->last, in->first, sizeof(double) * (size_t)p->nw);
         *s->last_h = in->head->first_h;
@@ -222,9 +247,9 @@ int ph_step_along(ph_instance *in, const ph_directions *d) {
 int ph_end_along(ph_instance *in, const ph_directions *d) {
     ph_system *s = &in->instant;
     const ph_plan *p = s->plan;
-    const ph_chain *c = &in->chain;
+    ph_chain *c = &in->chain;
     const int k = in->model->step->k, nu = p->nu, width = p->nx + 1 + p->na;
-    int status = c->x ? ph_refresh(in) : PH_NO_SENSITIVITY;
+    int status = c->x && (!d->dp || in->model->slopes) ? ph_refresh(in) : PH_NO_SENSITIVITY;
     if (status)
         return status;
     memcpy(s->y, s->last, sizeof(double) * (size_t)p->nw);
@@ -233,13 +258,21 @@ int ph_end_along(ph_instance *in, const ph_directions *d) {
     status = linearise(s);
     ph_basis(in, 1.0);
     for (int j = 0; j < d->n && status == PH_OK; j++) {
+        c->dp = d->dp ? d->dp + j * p->np : NULL;
         ph_clear(c->dy, p->nv);
         for (int i = 0; i < k; i++)
             for (int l = 0; l < nu; l++)
                 c->dy[p->nw + l] += in->basis[i] * d->du[(j * k + i) * nu + l];
         follow(in, s, d->dx + j * width);
         memcpy(d->dy + j * nu, c->dr + p->nw, sizeof(double) * (size_t)nu);
+        if (d->dobs && p->nobs > 0)
+            memcpy(d->dobs + j * p->nobs, c->dr + p->nw + p->nq, sizeof(double) * (size_t)p->nobs);
+        if (d->da) {
+            ph_clear(d->da + j * p->na, p->na);
+            add_means(p, d->da + j * p->na, c->dy, 1.0, 1.0);
+        }
     }
+    c->dp = NULL;
     ph_lu_adopt(&s->lu, s->pivot);
     return status;
 }
@@ -249,7 +282,7 @@ static int chain_sensitivity(ph_instance *in, double *out) {
     const ph_plan *p = in->step.plan;
     const ph_chain *c = &in->chain;
     const int k = p->k, nu = p->nu;
-    const ph_directions d = {nu, c->du, c->dx, c->dy_node};
+    const ph_directions d = {.n = nu, .du = c->du, .dx = c->dx, .dy = c->dy_node};
     int status;
     ph_clear(c->du, nu * k * nu);
     for (int j = 0; j < nu; j++)

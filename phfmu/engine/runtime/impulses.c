@@ -9,7 +9,7 @@ struct ph_impulses {
     ph_instance *in;
     const ph_ports *ports;
     double *value; /* 4 n: at start and end of the coming steps, and of the last one */
-    double *none;  /* n zeros */
+    double *none;  /* nx or n zeros */
     double *shift; /* nstate */
     double *mean;  /* n */
     double *work;  /* n: through the ports in this step */
@@ -22,11 +22,11 @@ struct ph_impulses {
 
 static size_t lay_out(ph_impulses *m, char *base) {
     const ph_ports *p = m->ports;
-    const ph_function *functions[] = {p->shift, p->jump, p->tangent};
+    const ph_function *functions[] = {p->shift, p->jump, p->tangent, p->slopes};
     ph_function most = {0};
     const size_t pointer = sizeof(double *);
     ph_pool part = {base, 0};
-    for (int i = 0; i < 3; i++) {
+    for (int i = 0; i < (p->slopes ? 4 : 3); i++) {
         most.arg = functions[i]->arg > most.arg ? functions[i]->arg : most.arg;
         most.res = functions[i]->res > most.res ? functions[i]->res : most.res;
         most.iw = functions[i]->iw > most.iw ? functions[i]->iw : most.iw;
@@ -34,7 +34,7 @@ static size_t lay_out(ph_impulses *m, char *base) {
     }
     ph_take(&part, sizeof(*m));
     m->value = ph_take_doubles(&part, 4 * p->n);
-    m->none = ph_take_doubles(&part, p->n);
+    m->none = ph_take_doubles(&part, p->n > m->in->step.plan->nx ? p->n : m->in->step.plan->nx);
     m->shift = ph_take_doubles(&part, p->nstate);
     m->mean = ph_take_doubles(&part, p->n);
     m->work = ph_take_doubles(&part, p->n);
@@ -199,7 +199,7 @@ void ph_impulses_along(ph_impulses *m, int end, int count, const double *ds, dou
     for (int j = 0; j < count; j++) {
         m->arg[0] = end ? in->table : in->x_old;
         m->arg[1] = in->p;
-        m->arg[2] = end ? m->value + 3 * p->n : m->none;
+        m->arg[2] = m->value + (end ? 3 : 2) * p->n;
         m->arg[3] = dx + j * width;
         m->arg[4] = ds + j * p->n;
         m->res[0] = m->shift;
@@ -207,4 +207,31 @@ void ph_impulses_along(ph_impulses *m, int end, int count, const double *ds, dou
         for (int i = 0; i < p->nstate; i++)
             dx[j * width + p->state[i]] += m->shift[i];
     }
+}
+
+void ph_impulses_by(ph_impulses *m, int end, const double *dp, double *dx) {
+    const ph_instance *in = m->in;
+    const ph_ports *p = m->ports;
+    m->arg[0] = end ? in->table : in->x_old;
+    m->arg[1] = in->p;
+    m->arg[2] = m->value + (end ? 3 : 2) * p->n;
+    m->arg[3] = m->none;
+    m->arg[4] = dp;
+    m->res[0] = m->shift;
+    m->res[1] = NULL;
+    p->slopes->call(p->slopes, m->arg, m->res, m->iw, m->w, 0);
+    for (int i = 0; i < p->nstate; i++)
+        dx[p->state[i]] += m->shift[i];
+}
+
+void ph_jump_along(ph_impulses *m, const double *dx, const double *dp, double *dS) {
+    const ph_ports *p = m->ports;
+    m->arg[0] = m->in->table;
+    m->arg[1] = m->in->p;
+    m->arg[2] = m->none;
+    m->arg[3] = dx;
+    m->arg[4] = dp;
+    m->res[0] = NULL;
+    m->res[1] = dS;
+    p->slopes->call(p->slopes, m->arg, m->res, m->iw, m->w, 0);
 }

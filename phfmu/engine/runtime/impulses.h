@@ -18,6 +18,7 @@ typedef struct ph_ports {
     const ph_function *shift;   /* (x, p, s) -> L s (nstate), mean of y along it (n) */
     const ph_function *jump;    /* (x, p) -> S = L^T H'' L (n*n) */
     const ph_function *tangent; /* (x, p, s, dx, ds) -> change of L s (nstate) */
+    const ph_function *slopes; /* (x, p, s, dx, dp) -> that of L s by p alone (nstate), of S (n*n); or NULL */
 } ph_ports;
 
 typedef struct ph_impulses ph_impulses;
@@ -45,5 +46,10 @@ PH_API void ph_jump(ph_impulses *m, double *s);
 /* Directions of the last step: dx (count rows of nx+1+na) of the states goes through the impulse at its
  * start, or at its end, along the directions ds (count*n) of the impulse. */
 PH_API void ph_impulses_along(ph_impulses *m, int end, int count, const double *ds, double *dx);
+/* The same of one direction dp (np) of the parameters, which does not move the states before the impulse;
+ * where the ports have slopes. */
+PH_API void ph_impulses_by(ph_impulses *m, int end, const double *dp, double *dx);
+/* Change of S at the present time (n*n) along dx (nx) and dp (np); where the ports have slopes. */
+PH_API void ph_jump_along(ph_impulses *m, const double *dx, const double *dp, double *dS);
 
 #endif

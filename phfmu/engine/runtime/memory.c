@@ -104,11 +104,12 @@ static void lay_chain(ph_instance *in, ph_pool *b) {
     for (int i = 0; i < p->ngroup + q->ngroup; i++) {
         const ph_group *g = i < p->ngroup ? &p->groups[i] : &q->groups[i - p->ngroup];
         const ph_function *tangent = &in->model->tangents[g->kernel];
-        local = larger(local, 2 * (g->nx + g->ny) + g->np + g->no);
-        work = larger(work, tangent->w);
-        iw = larger(iw, tangent->iw);
-        arg = larger(arg, tangent->arg);
-        res = larger(res, tangent->res);
+        const ph_function *slope = in->model->slopes ? &in->model->slopes[g->kernel] : tangent;
+        local = larger(local, 2 * (g->nx + g->ny + g->np) + g->no);
+        work = larger(work, larger(tangent->w, slope->w));
+        iw = larger(iw, larger(tangent->iw, slope->iw));
+        arg = larger(arg, larger(tangent->arg, slope->arg));
+        res = larger(res, larger(tangent->res, slope->res));
     }
     c->x = ph_take_doubles(b, p->nx + 1 + p->na);
     c->dy = ph_take_doubles(b, larger(p->nv + p->nz, q->nv + q->nz));

@@ -214,10 +214,13 @@ typedef struct ph_directions {
     const double *du; /* n (k*nu): of the inputs at the nodes of the last step, in */
     double *dx;       /* n (nx+1+na): of the states, the time and the algebraic variables carried along */
     double *dy;       /* outputs */
+    const double *dp; /* n np: of the parameters, in; NULL: they stay. Only where the model has slopes */
+    double *da;       /* n na: of the algebraic variables, out; NULL: not asked for */
+    double *dobs;     /* n nobs: of the observables now, out; NULL: not asked for */
 } ph_directions;
 
 /* Directional derivatives of the last step, with tangents only. dx: of the state at its start, in, and at its
- * end, out; dy: n (k*nu), of the outputs at the nodes, conjugate to its node inputs. */
+ * end, out; dy: n (k*nu), of the outputs at the nodes, conjugate to its node inputs; da: of the means. */
 PH_API int ph_step_along(ph_instance *in, const ph_directions *d);
 /* The same for the outputs at the present time, the end of that step; dx: of the present state, in; dy: n nu.
  */

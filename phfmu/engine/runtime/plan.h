@@ -134,6 +134,7 @@ typedef struct ph_model {
     const ph_plan *instant;      /* algebraic variables, outputs, observables and H at one instant */
     const ph_code *code;         /* kernels and solver */
     const ph_function *tangents; /* of the kernels, or NULL: no sensitivity over several internal steps */
+    const ph_function *slopes;   /* of the kernels, by their parameters, or NULL */
 } ph_model;
 
 /* Where kernels read: x old state, y = Y, p parameters, hp = {1, h, h^2}; work: where those that are
@@ -184,5 +185,6 @@ static inline void ph_value_of(const ph_code *code, const ph_group *g, const ph_
 
 extern const ph_code ph_the_code;
 extern const ph_function ph_tangents[];
+extern const ph_function ph_slopes[];
 
 #endif

@@ -168,6 +168,7 @@ typedef struct ph_chain {
     double *du;      /* nu (k*nu): directions of the held inputs, as are the next two */
     double *dx;      /* nu (nx+1+na) */
     double *dy_node; /* nu (k*nu) */
+    const double *dp; /* np: the present direction of the parameters, not owned; NULL: they stay */
     double *local;   /* arguments and results of one kernel */
     double *work;    /* of one kernel, as are the next three */
     int *iw;

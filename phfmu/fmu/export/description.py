@@ -102,6 +102,15 @@ class Unit:
         return self.model.events is not None
 
     @property
+    def derives_by_states(self) -> bool:
+        """Whether it tells derivatives of its steps by states and parameters, too."""
+        return self.derives and self.model.step.nu > 0 and not self.lands and not self.model.step.carries
+
+    def has_derivatives(self, v: FMUVariable) -> bool:
+        """Whether a value has those by states and parameters: all but outputs of ports that are fed from inside."""
+        return not v.block.startswith("PH_Y") or v.first < self.model.step.nu
+
+    @property
     def landing(self) -> str:
         """C text that defines what lands on them, where that is no instance of one model."""
         return ""

@@ -31,6 +31,12 @@ DOMAIN = {
     "flowUnit": "flow_unit",
     "common": "common",
 }
+#: attributes of what has derivatives by states and parameters -> places in the unit
+DERIVED = {
+    "states": ("PH_X",),
+    "ofStep": ("PH_A", "PH_Y_STEP"),
+    "now": ("PH_A_END", "PH_Y_END", "PH_OBSERVABLES", "FMU_JUMP"),
+}
 #: attributes of the energies of one step
 ENERGY = {
     "stored_step": "storedStep",
@@ -47,6 +53,11 @@ OUTWARD = '; of a port with sign="-1.0" the one of a pair that sums to zero at a
 DERIVATIVE = (
     "the directional derivative of a step output with respect to a port input is the sensitivity of the "
     "step map of the last communication step, of which at most 16 internal steps may have been halved"
+)
+BY_STATES = (
+    "beyond outputs of the description, directional (and adjoint) derivatives are told of the states listed, at the end of the "
+    "last communication step, and of what is listed of the step, with respect to the states at its start, parameters and inputs "
+    "held in it or at its nodes; of what is listed now with respect to the states now, parameters and inputs now"
 )
 NODES = (
     "inputs at the nodes of the next communication step (places and weights on [0, 1]); setting the input itself "
@@ -133,6 +144,12 @@ def manifest(unit: Unit) -> bytes:
         step.set("nodeInputs", NODES)
         step.set("nodeDerivative", NODE_DERIVATIVE)
     offers = _add_impulses(step, unit)
+    if unit.derives_by_states:
+        derivatives = etree.SubElement(root, "Derivatives", description=BY_STATES)
+        for word, blocks in DERIVED.items():
+            own = (v for v in unit.variables if v.causality != "independent" and unit.has_derivatives(v))
+            names = [v.name for v in own if v.block in blocks]
+            derivatives.set(word, " ".join(names))
     for text in unit.left_out:
         etree.SubElement(root, "LeftOut", what=plain(text))
     for e in unit.events:
@@ -251,7 +268,7 @@ def _scheme(step: Element) -> str:
 
 def read_manifest(root: Element) -> dict[str, Any]:
     """Ports, names of the energies, the scheme with its order, places and weights of the nodes, as `UnitInterface` has them."""
-    energy, step = root.find("Energy"), root.find("Step")
+    energy, step, derived = root.find("Energy"), root.find("Step"), root.find("Derivatives")
     places = [() if step is None else tuple(float(v) for v in step.get(k, "").split()) for k in ("nodes", "weights")]
     return {
         "ports": tuple(read_ports(root)),
@@ -260,6 +277,7 @@ def read_manifest(root: Element) -> dict[str, Any]:
         "nodes": places[0],
         "weights": places[1],
         "impulses": () if step is None else tuple(step.get("impulses", "").split()),
+        "derived": {} if derived is None else {word: tuple(derived.get(word, "").split()) for word in DERIVED},
         "jump": "" if step is None else plain(step.get("jump", ""), limits.NAME),
         **{word: _read_signals(root, causality) for word, causality in (("taken", "input"), ("sent", "output"))},
     }

@@ -11,7 +11,7 @@ from pathlib import Path
 import fmpy
 
 from phfmu.discretise.model import CONSISTENCY, Model
-from phfmu.engine.build.codegen import kernel_table, port_text, tangent_text
+from phfmu.engine.build.codegen import kernel_table, port_text, slope_text, tangent_text
 from phfmu.engine.build.tables import c_text, events_text
 from phfmu.engine.impulses import PortKernels
 from phfmu.engine.model import kernels
@@ -32,14 +32,16 @@ _PREFIXES = tuple(v.prefix for v in VERSIONS.values())
 
 #: files of units with inputs at the nodes of a step, of those whose ports take impulses, and with switches
 NODES, IMPULSES, MODES = ("fmu_nodes.c",), ("impulses.c", "impulses.h"), ("fmu_modes.c",)
+#: of units with derivatives by states and parameters
+ALONG = ("fmu_along.c",)
 #: with state events, and of one model
 HAPPENED, LANDING = ("fmu_happened.c",), ("fmu_landing.c",)
 Sources = dict[str, str | Path]
 
 
 def generated(unit: Unit) -> dict[str, str]:
-    """kernels.c and model.c, tangents.c where there are inputs, ports.c with impulses, guards.c with state events: nothing of the
-    interface.
+    """kernels.c and model.c, tangents.c where there are inputs, slopes.c with derivatives by parameters, ports.c with impulses,
+    guards.c with state events: nothing of the interface.
     """
     if texts := unit.texts():
         return texts
@@ -50,9 +52,11 @@ def generated(unit: Unit) -> dict[str, str]:
     more |= modes.texts(table, "ph_tangents" if model.step.nu else "0") if modes else {}
     if model.step.nu == 0:
         return {"kernels.c": table.text, "model.c": c_text(model, table.index), **more}
-    text = c_text(model, table.index, tangents="ph_tangents")
-    plans = (model.step, model.instant) if unit.kernels else (model.step, *(modes.plans if modes else ()))
-    made = {"kernels.c": table.text, "tangents.c": tangent_text(table, *plans), "model.c": text, **more}
+    far = unit.derives_by_states
+    text = c_text(model, table.index, tangents="ph_tangents", slopes="ph_slopes" if far else "0")
+    plans = (model.step, model.instant) if far or unit.kernels else (model.step, *(modes.plans if modes else ()))
+    made = {"kernels.c": table.text, "tangents.c": tangent_text(table, *plans, reports=far), "model.c": text, **more}
+    made |= {"slopes.c": slope_text(table, *plans)} if far else {}
     return made | ({"ports.c": port_text(unit.kernels)} if unit.kernels else {})
 
 
@@ -70,7 +74,7 @@ def token(unit: Unit, equations: dict[str, str]) -> str:
 def fixed(unit: Unit) -> Sources:
     """The hand-written part of it: name -> path."""
     if drivers := unit.drivers():
-        absent = (*NODES, *LANDING, *MODES, *(() if unit.lands else HAPPENED))
+        absent = (*NODES, *LANDING, *MODES, *ALONG, *(() if unit.lands else HAPPENED))
         layers = {n: p for n, p in _layers().items() if n not in absent}
         return {**runtime_sources(*(["events"] if unit.lands else [])), **drivers, **layers}
     events = unit.lands
@@ -79,6 +83,7 @@ def fixed(unit: Unit) -> Sources:
     absent = (() if unit.at_nodes else NODES) + (() if unit.kernels else IMPULSES)
     absent += () if events else (*HAPPENED, *LANDING)
     absent += () if modes else MODES
+    absent += () if unit.derives_by_states else ALONG
     return {name: path for name, path in {**runtime_sources(*parts), **_layers()}.items() if name not in absent}
 
 
@@ -160,6 +165,8 @@ def interface_text(unit: Unit, token: str) -> str:
         sizes = [str(unit.spans[i].size if i in unit.spans else 1) for i in range(len(rows))]
         checks += f"static const int sizes[] = {{\n{_list(sizes)}}};\n"
     nodes = "    .node_memory = fmu_node_memory,\n    .node_map = fmu_node_map,\n" if unit.at_nodes else ""
+    if unit.derives_by_states:
+        nodes += "".join(f"    .{n} = fmu_{n},\n" for n in ("along_room", "along", "asks_along"))
     include = "".join(f'#include "{name}"\n' for name in unit.headers)
     if unit.kernels:
         include, nodes = include + '#include "impulses.h"\n', nodes + "    .impulses = &impulses,\n"
@@ -246,6 +253,7 @@ def _modes_text(modes: UnitModes) -> str:
 def _impulses_text(kernels: PortKernels) -> str:
     """The functions of impulses.c."""
     functions = {n: f"ph_impulses_{n}" for n in ("size", "init", "along")} | {
+        "by": "ph_impulses_by", "jump_along": "ph_jump_along",
         "set": "ph_set_impulses", "values": "ph_impulse_values", "step": "ph_step_impulses", "kick": "ph_kick", "jump": "ph_jump",
     }  # fmt: skip
     members = "".join(f"    .{n} = {f},\n" for n, f in functions.items())

@@ -71,6 +71,7 @@ class FMUInstance:
         self._books = books(self._values)
         self._starts, self._span = dict(starts or {}), (self.interface.start if start is None else start, stop)
         self._asked: dict[tuple[str, ...], References] = {}
+        self._derivative_of: dict[tuple[tuple[str, ...], str], Derivative] = {}
         self.early_return, self._tolerance = early_return, tolerance
         self._slave = slave_of(archive.extracted, self.name, early_return, isolate)
         #: lines about what its library lacks of its version, and what is off for it
@@ -222,6 +223,17 @@ class FMUInstance:
         except FMUError as error:
             raise StepFailure(Status.NO_SENSITIVITY, self.name, self.time, self.steps.h, tried=str(error)) from error
         return self._values.output_sign[:, None] * s * self._values.input_sign
+
+    def derivatives(self, unknowns: Sequence[str], knowns: Sequence[str]) -> Array:
+        """d unknowns / d knowns (unknowns x knowns), as the unit defines them, in its own signs.  FMUError with its words."""
+        rows = self._slave.references(self.interface.scalars(list(unknowns), "variable"))
+        found = np.zeros((len(unknowns), len(knowns)))
+        for j, n in enumerate(knowns if len(unknowns) else ()):
+            key = tuple(unknowns), n
+            if key not in self._derivative_of:
+                self._derivative_of[key] = Derivative(rows, self.variable(n), VERSIONS[self.interface.version])
+            found[:, j] = self._slave.derivative(self._derivative_of[key])
+        return found
 
     # -- saved states ---------------------------------------------------------------------------------------
 

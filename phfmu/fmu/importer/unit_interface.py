@@ -38,10 +38,11 @@ class UnitInterface:
 
     `left_out`: what cannot be read or set here, in words. `scheme`: how it steps, with the order, where it says so. `nodes`,
     `weights`: places on [0, 1] and weights of the nodes at which ports take inputs; empty without such inputs. `impulses`:
-    inputs of which impulses are taken, in the order of the matrix `jump`. `taken`, `sent`: signal -> its names at the nodes
-    of a step. `serialises`: its saved states may become bytes. `one_step`: it says that all of its steps have to be equal;
-    `one_instance`: a process can have one of it; `tool`: it needs a tool of its maker. `event_mode`, `early_return`: it has an
-    Event Mode, and may end steps early, where an importer allows that; `clocks`: how many it has.
+    inputs of which impulses are taken, in the order of the matrix `jump`. `derived`: names of `states`, of values `ofStep` and
+    `now` that have derivatives by states and parameters; empty in units that tell none. `taken`, `sent`: signal -> its names at
+    the nodes of a step. `serialises`: its saved states may become bytes. `one_step`: it says that all of its steps have to be
+    equal; `one_instance`: a process can have one of it; `tool`: it needs a tool of its maker. `event_mode`, `early_return`: it
+    has an Event Mode, and may end steps early, where an importer allows that; `clocks`: how many it has.
     """
 
     version: str
@@ -63,6 +64,7 @@ class UnitInterface:
     weights: tuple[float, ...] = ()
     impulses: tuple[str, ...] = ()
     jump: str = ""
+    derived: dict[str, tuple[str, ...]] = field(default_factory=dict)
     taken: dict[str, tuple[str, ...]] = field(default_factory=dict)
     sent: dict[str, tuple[str, ...]] = field(default_factory=dict)
     left_out: str = ""

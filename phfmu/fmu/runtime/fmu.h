@@ -80,6 +80,8 @@ typedef struct fmu_impulses {
     int (*kick)(struct ph_impulses *m, double t);
     void (*jump)(struct ph_impulses *m, double *s);
     void (*along)(struct ph_impulses *m, int end, int count, const double *ds, double *dx);
+    void (*by)(struct ph_impulses *m, int end, const double *dp, double *dx);
+    void (*jump_along)(struct ph_impulses *m, const double *dx, const double *dp, double *ds);
 } fmu_impulses;
 
 /* Functions of fmu_landing.c, which only units with state events have. */
@@ -124,6 +126,11 @@ typedef struct fmu_interface {
     int jumps;                      /* whether stored energy depends on a tunable parameter */
     int (*node_memory)(fmu *f);     /* fmu_nodes.c; NULL without inputs at nodes */
     int (*node_map)(fmu *f);
+    size_t (*along_room)(const struct fmu_interface *about,
+                         const ph_sizes *sizes); /* fmu_along.c; NULL without derivatives by states */
+    int (*along)(fmu *f, const char *function, int adjoint, const unsigned *unknown, size_t nu,
+                 const unsigned *known, size_t nk, const double *seed, double *result);
+    int (*asks_along)(const fmu *f, const unsigned *unknown, size_t nu, const unsigned *known, size_t nk);
     const fmu_impulses *impulses; /* NULL if ports take none */
     int nevent;
     const fmu_event *events;    /* nevent, in order of time */
@@ -201,6 +208,7 @@ struct fmu {
     fmu_books books;           /* saved with the state, as one stretch of FMU_NBOOKS*ncomp */
     double *step_derivative, *end_derivative; /* nu*nu sensitivities, row-major */
     int step_known, end_known;                /* whether they belong to the present time */
+    double *direction;                        /* of fmu_along.c, along_room */
     unsigned *scalars; /* 2*nvariable, room for the scalars of arrays; NULL without arrays */
     fmu_nodes nodes;
     double *kept;                /* what of the parts of a step is summed; NULL without events */
@@ -292,6 +300,15 @@ int fmu_event_refused(const fmu *f, const char *function, const struct ph_event_
  * held over a step, or all at nodes and impulses. */
 int fmu_derivative(fmu *f, const char *function, int adjoint, const unsigned *unknown, size_t nu,
                    const unsigned *known, size_t nk, const double *seed, double *result);
+
+/* fmu_along.c. Whether a call is about more than outputs by inputs; what it then answers, as fmu_derivative,
+ * the knowns being states (at the start of the last step; for values at the present time those there),
+ * parameters and inputs, the unknowns states at the end of the step and what is told of it or now; how many
+ * doubles it needs. */
+int fmu_asks_along(const fmu *f, const unsigned *unknown, size_t nu, const unsigned *known, size_t nk);
+int fmu_along(fmu *f, const char *function, int adjoint, const unsigned *unknown, size_t nu,
+              const unsigned *known, size_t nk, const double *seed, double *result);
+size_t fmu_along_room(const fmu_interface *about, const ph_sizes *p);
 
 /* fmu_state.c. A saved state is one block without pointers; *state is reused if not NULL. */
 int fmu_save(fmu *f, const char *function, void **state);

@@ -20,7 +20,8 @@ static fmu *allocate(const fmu_interface *about, const char *name) {
     map->sizes(about->of, &sizes);
     nu = (size_t)p->nu;
     nc = (size_t)p->ncomp;
-    values = (size_t)p->nx + 2 * (size_t)p->np + nu * (size_t)p->k + 2 * nu * nu + (FMU_NBOOKS + 1) * nc;
+    values = (size_t)p->nx + 2 * (size_t)p->np + nu * (size_t)p->k + 2 * nu * nu + (FMU_NBOOKS + 1) * nc +
+             (about->along_room ? about->along_room(about, p) : 0);
     block = calloc(1, ph_padded(sizeof(fmu)) + ph_padded(model) + sizeof(double) * values +
                           sizeof(unsigned) * scalars + length);
     if (!block)
@@ -42,9 +43,11 @@ static fmu *allocate(const fmu_interface *about, const char *name) {
     f->books.jumped = f->books.rest + nc;
     f->books.before = f->books.jumped + nc;
     f->old = f->books.before + nc;
+    f->direction = f->old + p->np;
+    place += values;
     if (scalars)
-        f->scalars = (unsigned *)(void *)(f->old + p->np);
-    f->name = (char *)(f->old + p->np) + sizeof(unsigned) * scalars;
+        f->scalars = (unsigned *)(void *)place;
+    f->name = (char *)place + sizeof(unsigned) * scalars;
     memcpy(f->name, name, length);
     return f;
 }

@@ -3,6 +3,7 @@
  * With respect to held inputs: of outputs of a step (names in _step) the sensitivity of the step map, by the
  * implicit function theorem at the last step; of outputs at the present time that of the algebraic equations
  * there. With respect to inputs at nodes and impulses: of the step map, for outputs at nodes and at its end.
+ * By states and parameters: fmu_along.c.
  */
 #include <math.h>
 
@@ -139,6 +140,8 @@ int fmu_derivative(fmu *f, const char *function, int adjoint, const unsigned *un
         fmu_given(f, function, (nu == 0 || unknown) && (nk == 0 || known)) ||
         fmu_given(f, function, ((adjoint ? nu : nk) == 0 || seed) && ((adjoint ? nk : nu) == 0 || result)))
         return FMU_ERROR;
+    if (f->about->along && f->about->asks_along(f, unknown, nu, known, nk))
+        return f->about->along(f, function, adjoint, unknown, nu, known, nk, seed, result);
     if (check_knowns(f, function, known, nk, &kind) || check_unknowns(f, function, unknown, nu, kind, &block))
         return FMU_ERROR;
     for (size_t i = 0; i < (adjoint ? nk : nu); i++)

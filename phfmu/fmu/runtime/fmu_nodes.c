@@ -57,8 +57,8 @@ static void through_impulses(const fmu *f, int end) {
 
 int fmu_node_map(fmu *f) {
     const fmu_nodes *m = &f->nodes;
-    const ph_directions nodes = {m->columns, m->du, m->dx, m->by_node};
-    const ph_directions ends = {m->columns, m->du, m->dx, m->by_end};
+    const ph_directions nodes = {.n = m->columns, .du = m->du, .dx = m->dx, .dy = m->by_node};
+    const ph_directions ends = {.n = m->columns, .du = m->du, .dx = m->dx, .dy = m->by_end};
     int status;
     unit_directions(f);
     if (!f->about->impulses)

@@ -120,6 +120,11 @@ class EndSums:
         base = np.where(np.array(against) < 0, 0.0, left[:, against])
         return np.hstack([ends, left[:, self._checked] - base])
 
+    def left(self, rows: Array) -> Array:
+        """What no junction unknown can change of rows (n x any), once `values` was asked for."""
+        assert self._maps is not None
+        return np.asarray(rows.T @ self._maps[2]).T
+
     def _sums(self, xi: Array) -> Array:
         """Per common variable the sum or spread now."""
         assert self._maps is not None

@@ -256,6 +256,13 @@ class FMUMember:
         self._u = np.array(u)
         self.unit.reset(self._given | self._signals(u), u[: self.unit.nu])
 
+    def restart(self, values: dict[str, float], u: Array) -> None:
+        """Back to the start with other values of parameters, states and inputs without power, and inputs u."""
+        self._given, self._moved, self._length = dict(values), False, None
+        self._u = np.array(u)
+        self.unit.reset(values, u[: self.unit.nu])
+        self._rebook()
+
     def do_step(self, t: float, h: float) -> None:
         """All of the step; UnitFailure where the unit takes a part of it only, which is taken back, or not this length."""
         self._require_length(t, h)

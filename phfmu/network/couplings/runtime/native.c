@@ -88,7 +88,8 @@ static int held(const ph_share *s) {
 static int at_nodes(const ph_share *s) {
     const ph_native *m = s->of;
     const int through = s->ninput + s->nbare, kn = s->k * s->nu;
-    const ph_directions nodes = {through, m->du, m->dx, s->dy}, end = {through, m->du, m->dx, s->dend};
+    const ph_directions nodes = {.n = through, .du = m->du, .dx = m->dx, .dy = s->dy};
+    const ph_directions end = {.n = through, .du = m->du, .dx = m->dx, .dy = s->dend};
     int status;
     ph_clear(m->dx, through * m->width);
     if (s->nkick)
