@@ -212,7 +212,8 @@ static int polish(ph_system *s) {
 }
 
 /* Scaled norm of the last update without multipliers of constraints. Near a loss of rank these are known as
- * badly as the forces in the lost directions are small; in the residual of the others they count with those. */
+ * badly as the forces in the lost directions are small; in the residual of the others they count with those.
+ */
 static double moved(const ph_system *s) {
     const ph_plan *p = s->plan;
     double most = 0.0;
