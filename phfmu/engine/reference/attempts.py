@@ -64,11 +64,12 @@ class Attempts:
 
     def _attempt(self, h: float, rest: bool, damped: bool = False) -> Outcome:
         """From the last step or from rest; where there were enough iterations, how the last attempt failed."""
-        for bare in self.newton.bare_first:
+        for bare, free in self.newton.ways:
             self.newton.bare = bare
             if self.iterations >= self.most:
                 return replace(self.outcome, status=Status.NO_CONVERGENCE)
-            if self._newton(self._start(h, rest), h, damped).status is Status.OK:
+            start = self._start(h, rest)
+            if self._newton(self.newton.free(start) if free else start, h, damped).status is Status.OK:
                 break
         return self.outcome
 

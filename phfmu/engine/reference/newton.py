@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from phfmu.engine.reference.evaluate import Evaluator
 from phfmu.outcome.limits import LIMITS
 from phfmu.outcome.status import Status
+from phfmu.plan.plan import Ints
 
 if TYPE_CHECKING:
     from scipy.sparse import csc_matrix
@@ -34,7 +35,10 @@ FULL = 128
 
 @dataclass
 class Outcome:
-    """Result of one attempt: status, unknowns, iterations, worst scaled residual, its row and floor, last update norm."""
+    """Result of one attempt: status, unknowns, iterations, worst scaled residual, its row and floor, last update norm.
+
+    `moved`: the norm of the last update without multipliers of constraints.
+    """
 
     status: Status
     w: Array
@@ -43,6 +47,7 @@ class Outcome:
     row: int = -1
     update: float = 0.0
     floor: float = 0.0
+    moved: float = 0.0
 
 
 @cache
@@ -61,20 +66,38 @@ class Newton:
         self.plan = evaluator.plan
         self._factors: Callable[[Array], Array] | None = None
         self._scale = np.ones(self.plan.nw)
-        #: factors without delta where there are pivots, see `bare_first`
+        #: factors without delta where there are pivots, see `ways`
         self.bare = False
 
+    @cached_property
+    def _multipliers(self) -> Ints:
+        """Multipliers of constraints that may lose rank."""
+        return self.plan.hold.of(np.ones(len(self.plan.hold), bool))
+
     @property
-    def bare_first(self) -> tuple[bool, ...]:
-        """The values of `bare` to try in turn: where there are constraints without delta, then with it.
+    def ways(self) -> tuple[tuple[bool, bool], ...]:
+        """What to try in turn: `bare`, and whether to start without the last forces of constraints.
+
+        Where there are constraints factors have no delta, so again without these forces, then with delta.
 
         Near a loss of rank, and beside light masses, delta is as large as what is left of the constraints, and Newton's
         method crawls; where pivots are lost to rounding it leads past them.  Beside vanishing masses it comes first: without
         it their motion is that of the rounding of forces.
         """
         if not len(self.plan.hold):
-            return (False,)
-        return (False, True) if self.plan.hold.vanishing else (True, False)
+            return ((False, False),)
+        bare, delta = ((True, False), (True, True)), ((False, False),)
+        return delta + bare if self.plan.hold.vanishing else bare + delta
+
+    def free(self, w: Array) -> Array:
+        """w without forces of constraints, for a start.
+
+        Near a loss of rank those of the last step may be as large as those of this one, and opposite.  As they enter
+        linearly, Newton's method does not need them.
+        """
+        w = w.copy()
+        w[self._multipliers] = 0.0
+        return w
 
     def residual(self, w: Array, fixed: Fixed) -> Array:
         """Rows [0, nw) at w; `fixed` = (x, [u | h], p, h)."""
@@ -187,7 +210,10 @@ class Newton:
                 return self._failed(out, Status.NO_CONVERGENCE, r, fixed)
             w = w + damping * dw
             r = self.residual(w, fixed)
-            out.w, out.update = w, float(np.max(np.abs(dw) / (plan.nominal + np.abs(w)), initial=0.0))
+            size = np.abs(dw) / (plan.nominal + np.abs(w))
+            out.w, out.update = w, float(np.max(size, initial=0.0))
+            size[self._multipliers] = 0.0
+            out.moved = float(np.max(size, initial=0.0))
             grew |= last < out.update > TOLERANCE
             stalls = stalls + 1 if SHRINKING * last < out.update <= GROWN * last else 0
             wanders = 0 if out.update < least else wanders + 1
@@ -207,7 +233,7 @@ class Newton:
         Two updates tell what is left after it;  once one grew, as stiff and free directions take turns, both must be small.
         Two in a row that hardly shrink (stalls) are at the floor if the residual r before the last is rounding, or if they
         are tiny and only noise is left; so are many of which none is the smallest yet (wanders), where constraints nearly
-        lose rank.
+        lose rank.  There multipliers are known as badly as the forces in the lost directions are small, and do not count.
         """
         if out.update == 0.0:
             return True
@@ -215,14 +241,14 @@ class Newton:
         if out.update <= TOLERANCE and (not grew or last <= TOLERANCE) and ratio**2 * out.update <= ROUNDING:
             return True
         crawls = CRAWL < ratio < 1.0
-        if out.update > (CRAWLING if crawls else STAGNATION):
+        if out.moved > (CRAWLING if crawls else STAGNATION):
             return False
         if wanders >= WANDERING:
-            return self._at_floor(out.w, r, fixed)
+            return self._at_floor(out.w, r, fixed, float(len(self.plan.hold) > 0))
         if ratio <= SHRINKING:
             return False
         noise = ratio >= 1.0 - SAME_UPDATE and out.update <= TOLERANCE
-        return stalls >= STALLS and (noise or self._at_floor(out.w, r, fixed, float(crawls)))
+        return stalls >= STALLS and (noise or self._at_floor(out.w, r, fixed, float(crawls or len(self.plan.hold) > 0)))
 
     def _at_floor(self, w: Array, r: Array, fixed: Fixed, nominal: float = 0.0) -> bool:
         """All rows are rounding."""
@@ -233,16 +259,17 @@ class Newton:
     def _rounding(self, w: Array, fixed: Fixed, nominal: float = 0.0) -> Array:
         """Rounding of each row: eps sum_j |A_ij| (|w_j| + |x_j|), x_j the state whose increment w_j is.
 
-        nominal = 1 judges constraint rows by the nominal size of their unknowns: where they lose rank, their multipliers
-        crawl without end for less.
+        nominal = 1 judges rows by the nominal size of their unknowns too, all of a model whose constraints may lose rank,
+        else those of multipliers: there the noise of others reaches rows in which all is zero, and multipliers crawl
+        without end for less.
         """
         plan, x, h = self.plan, fixed[0], fixed[3]
         size = np.bincount(plan.update_w, np.abs(x[plan.update_x]), plan.nw) + np.abs(w)
-        constraint = np.zeros(plan.nw)
-        constraint[plan.matrix.row[plan.regularised]] = nominal
+        part = np.full(plan.nw, nominal if len(plan.hold) else 0.0)
+        part[plan.matrix.row[plan.regularised]] = nominal
         column = np.repeat(np.arange(plan.nw), np.diff(plan.colptr))
         a = np.abs(self.evaluator.matrix(h))
-        terms = a * (size[column] + constraint[plan.matrix.row] * plan.nominal[column])
+        terms = a * (size[column] + part[plan.matrix.row] * plan.nominal[column])
         return np.finfo(float).eps * np.bincount(plan.matrix.row, terms, plan.nw)
 
     def _damping(self, w: Array, dw: Array, r: Array, fixed: Fixed) -> float:

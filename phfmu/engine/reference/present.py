@@ -70,9 +70,9 @@ class Present:
         """The solution of the instant system from w, with line search where it takes one."""
         outcome = Outcome(Status.NO_CONVERGENCE, w)
         for damped in (False, True):
-            for bare in self._newton.bare_first:
+            for bare, free in self._newton.ways:
                 self._newton.bare = bare
-                outcome = self._newton.attempt(w, fixed, damped)
+                outcome = self._newton.attempt(self._newton.free(w) if free else w, fixed, damped)
                 if outcome.status is Status.OK:
                     return outcome
         return outcome

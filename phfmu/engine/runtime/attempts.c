@@ -49,21 +49,30 @@ static int solve(ph_system *s, ph_newton_kind kind) {
     return PH_OK;
 }
 
+/* Start without forces of constraints: near a loss of rank those of the last step may be as large as those
+ * of this one, and opposite. As they enter linearly, Newton's method does not need them. */
+static void start_free(ph_system *s) {
+    const ph_plan *p = s->plan;
+    for (int l = 0; l < p->hold_ptr[p->nhold]; l++)
+        s->y[p->hold_row[l]] = 0.0;
+}
+
 /* Newton's method for a step h, from the last step or from rest; where there are constraints without delta,
- * then with it, and the other way round where masses are vanishing; nothing where there were enough
- * iterations. */
+ * so again without their last forces, then with delta, and that first where masses are vanishing; nothing
+ * where there were enough iterations. */
 static int attempt(ph_system *s, double h, int rest, ph_newton_kind kind) {
-    const int ways = 1 + (s->plan->nhold > 0);
+    const int ways = s->plan->nhold > 0 ? 3 : 1, delta = s->plan->vanishing ? 0 : ways - 1;
     int status = PH_NO_CONVERGENCE;
     for (int i = 0; status && i < ways; i++) {
-        const int bare = ways == 2 && i == s->plan->vanishing;
         if (s->count[PH_ITERATIONS] >= s->most)
             return PH_NO_CONVERGENCE;
-        ph_newton_bare(s, bare);
+        ph_newton_bare(s, i != delta);
         if (rest)
             start_rest(s);
         else
             start_guess(s, s->last, h / *s->last_h);
+        if (i != delta && i == 1 + (delta == 0))
+            start_free(s);
         status = solve(s, kind);
     }
     return status;

@@ -34,8 +34,9 @@ static inline void ph_course_watch(ph_course *c, double update) {
  * shrink linearly (a kept factor, delta against a nearly singular matrix) or by squares; once one grew, as
  * stiff and free directions take turns, both must be small. Two in a row that hardly shrink are at the floor
  * if the residual before the last is rounding, or if they are tiny and only noise is left; so are many of
- * which none is the smallest yet, which wander where constraints nearly lose rank. */
-static inline ph_verdict ph_course_verdict(const ph_course *c) {
+ * which none is the smallest yet, which wander where constraints nearly lose rank. any: however large they
+ * are, as they may be those of multipliers alone. */
+static inline ph_verdict ph_course_verdict(const ph_course *c, int any) {
     const double ratio = c->update / c->previous;
     const int crawls = ratio > PH_CRAWL && ratio < 1.0;
     if (c->update == 0.0)
@@ -46,7 +47,7 @@ static inline ph_verdict ph_course_verdict(const ph_course *c) {
     if (c->update <= PH_TOLERANCE && (!c->grew || c->previous <= PH_TOLERANCE) &&
         ratio * ratio * c->update <= PH_ROUNDING)
         return PH_SOLVED;
-    if (c->chord || c->update > (crawls ? PH_CRAWLING : PH_STAGNATION))
+    if (c->chord || (!any && c->update > (crawls ? PH_CRAWLING : PH_STAGNATION)))
         return PH_UNSOLVED;
     if (c->wanders >= PH_WANDERING)
         return PH_AT_FLOOR;

@@ -131,17 +131,18 @@ static ph_real correct(ph_system *s, const ph_real *base, double damping) {
 
 /* size (nw): what rounding leaves in each row, eps sum_j |A_ij| (|w_j| + |x_j|), x_j the state whose
  * increment w_j is. A residual of that size belongs to equations changed by eps alone. nominal = 1 judges
- * constraint rows by the nominal size of their unknowns: where they lose rank, their multipliers crawl
- * without end for less. */
+ * rows by the nominal size of their unknowns too, all of a model whose constraints may lose rank, else those
+ * of multipliers: there the noise of others reaches rows in which all is zero, and multipliers crawl without
+ * end for less. */
 static void rounding(const ph_system *s, double nominal, double *size) {
     const ph_plan *p = s->plan;
-    double *constraint = s->rhs; /* nominal in rows with a regularised diagonal */
+    double *part = s->rhs; /* of the nominal size in a row */
     for (int i = 0; i < p->nw; i++) {
         size[i] = 0.0;
-        constraint[i] = 0.0;
+        part[i] = p->nhold > 0 ? nominal : 0.0;
     }
     for (int l = 0; l < p->nreg; l++)
-        constraint[p->matrix_row[p->regularised[l]]] = nominal;
+        part[p->matrix_row[p->regularised[l]]] = nominal;
     for (int u = 0; u < p->nupdate; u++)
         for (int l = p->update_ptr[u]; l < p->update_ptr[u + 1]; l++)
             for (int i = 0; i < p->update_n[u]; i++) {
@@ -152,7 +153,7 @@ static void rounding(const ph_system *s, double nominal, double *size) {
     for (int j = 0; j < p->nw; j++)
         for (int e = p->colptr[j]; e < p->colptr[j + 1]; e++) {
             int i = p->matrix_row[e];
-            size[i] += DBL_EPSILON * fabs(s->a[e]) * (fabs(s->y[j]) + constraint[i] * p->nominal[j]);
+            size[i] += DBL_EPSILON * fabs(s->a[e]) * (fabs(s->y[j]) + part[i] * p->nominal[j]);
         }
 }
 
@@ -210,10 +211,30 @@ static int polish(ph_system *s) {
     return ph_finite(s->r, s->plan->nrow) ? PH_OK : PH_NOT_FINITE;
 }
 
+/* Scaled norm of the last update without multipliers of constraints. Near a loss of rank these are known as
+ * badly as the forces in the lost directions are small; in the residual of the others they count with those.
+ */
+static double moved(const ph_system *s) {
+    const ph_plan *p = s->plan;
+    double most = 0.0;
+    for (int i = 0; i < p->nw; i++)
+        s->base[i] = fabs(s->dw[i]) / (p->nominal[i] + fabs(s->y[i]));
+    for (int l = 0; l < p->hold_ptr[p->nhold]; l++)
+        s->base[p->hold_row[l]] = 0.0;
+    for (int i = 0; i < p->nw; i++)
+        most = fmax(most, s->base[i]);
+    return most;
+}
+
 /* Whether the last update is small enough (course.h), the floor looked at where that decides. */
 static int solved(const ph_system *s, const ph_course *c) {
-    const ph_verdict verdict = ph_course_verdict(c);
-    return verdict == PH_SOLVED || (verdict >= PH_AT_FLOOR && at_floor(s, verdict == PH_CRAWLS, s->base));
+    const int holds = s->plan->nhold > 0;
+    const ph_verdict verdict = ph_course_verdict(c, holds);
+    if (verdict < PH_AT_FLOOR)
+        return verdict == PH_SOLVED;
+    if (holds && moved(s) > (verdict == PH_CRAWLS ? PH_CRAWLING : PH_STAGNATION))
+        return 0;
+    return at_floor(s, holds || verdict == PH_CRAWLS, s->base);
 }
 
 /* From the w in Y to the solution; afterwards Y and all rows R belong to the final w. */

@@ -199,7 +199,7 @@ static unsigned newton(ph_wide *w, unsigned going, unsigned keeping, ph_wide_cos
             cost->iterations[l] = i;
             if (isfinite(update[l])) {
                 ph_course_watch(&course[l], update[l]);
-                verdict = ph_course_verdict(&course[l]);
+                verdict = ph_course_verdict(&course[l], 0);
                 found |= (verdict == PH_SOLVED ? 1U : 0U) << l;
                 if (verdict == PH_UNSOLVED) {
                     astray |= (unsigned)ph_course_goes_on(&course[l], PH_CHORD) << l;
