@@ -22,8 +22,8 @@ import casadi as ca
 import numpy as np
 
 from phfmu.declare.block import skew
-from phfmu.declare.coefficients import matrices
 from phfmu.declare.error import DeclarationError, Problem
+from phfmu.declare.matrices import matrices
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.regular import undetermined
 from phfmu.declare.transform.inverse import inverted
