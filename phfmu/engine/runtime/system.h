@@ -160,17 +160,17 @@ typedef struct ph_array {
 
 /* Work space of directional derivatives of a step; x is NULL without tangents. */
 typedef struct ph_chain {
-    double *x;       /* nx+1+na: old states of an internal step */
-    double *dy;      /* nv+nz: a direction of Y */
-    double *dr;      /* nrow: the change of the rows along it */
-    double *last;    /* nw: unknowns of the last step, put back at the end */
-    double *basis;   /* k*k: Lagrange polynomials of the step at the nodes of a part */
-    double *du;      /* nu (k*nu): directions of the held inputs, as are the next two */
-    double *dx;      /* nu (nx+1+na) */
-    double *dy_node; /* nu (k*nu) */
+    double *x;        /* nx+1+na: old states of an internal step */
+    double *dy;       /* nv+nz: a direction of Y */
+    double *dr;       /* nrow: the change of the rows along it */
+    double *last;     /* nw: unknowns of the last step, put back at the end */
+    double *basis;    /* k*k: Lagrange polynomials of the step at the nodes of a part */
+    double *du;       /* nu (k*nu): directions of the held inputs, as are the next two */
+    double *dx;       /* nu (nx+1+na) */
+    double *dy_node;  /* nu (k*nu) */
     const double *dp; /* np: the present direction of the parameters, not owned; NULL: they stay */
-    double *local;   /* arguments and results of one kernel */
-    double *work;    /* of one kernel, as are the next three */
+    double *local;    /* arguments and results of one kernel */
+    double *work;     /* of one kernel, as are the next three */
     int *iw;
     const double **arg;
     double **res;
