@@ -141,6 +141,15 @@ class By:
         return found
 
 
+def require_known(slopes: Array, signal: str) -> None:
+    """ValueError where derivatives of a signal count of which some are not known (NaN), those in the row of the start."""
+    if np.isnan(slopes).any():
+        raise ValueError(
+            f"{signal} has no derivative in the row of the start, which counts here; leave out what is before the end of the "
+            "first step"
+        )
+
+
 def start_tangents_by(model: Model, by: By, given: Array, x: Array, p: Array, t: float) -> Array:
     """Tangents (nx x names) of the states at a start x, which `given` was projected to where constraints hold."""
     S, along = np.zeros((model.step.nx, len(by.names))), np.zeros((len(p), len(by.names)))

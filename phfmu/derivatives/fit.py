@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.derivatives.between import Between
+from phfmu.derivatives.by import require_known
 from phfmu.derivatives.fit_journal import Journal, Kept, digest
 from phfmu.derivatives.gradient import forward_of
 from phfmu.derivatives.measured import TIME
@@ -307,6 +308,7 @@ class _Problem:
             slope = np.column_stack([at.of(result.column(derivative_name(m, n))) for n in self.free])
             if moved is not None:
                 slope -= at.slopes(result.column(m))[:, None] * np.column_stack([at.of(T) for T in moved])
+            require_known(slope, m)
             found.append((t, m, e.data.column(m)[there[m]], at.of(result.column(m)), slope))
         return found
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from phfmu.derivatives.apart.derived_members import by_of
 from phfmu.derivatives.apart.sensitive_members import SensitiveMembers
 from phfmu.derivatives.apart.taped_members import TapedMembers
-from phfmu.derivatives.by import By
+from phfmu.derivatives.by import By, require_known
 from phfmu.derivatives.measured import TIME, RunMeasure, run_measures
 from phfmu.derivatives.sensitive import SensitiveSteps
 from phfmu.derivatives.tangents import require_derived
@@ -123,8 +123,7 @@ def _weighted(c: Array, rows: Array, signal: str) -> Array:
     """c @ rows of those that count; ValueError for one that has no derivative."""
     counts = c != 0.0
     found = c[counts] @ rows[counts]
-    if np.isnan(found).any():
-        raise ValueError(f"{signal} has no derivative in the row of the start, which counts here; take a later time")
+    require_known(found, signal)
     return found
 
 

@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from phfmu import Coupled, Event, Network, Options, RunFunction, gradient, run
+from phfmu import Coupled, Event, Network, Options, RunFunction, Table, fit, gradient, run
 from phfmu.cli import main
 from phfmu.components.library import build
 from phfmu.derivatives.apart.sensitive_members import SensitiveMembers
+from phfmu.derivatives.fit import Experiment
 from phfmu.network.couplings.gauss_seidel import GaussSeidel
 from phfmu.network.couplings.jacobi import Jacobi
 from phfmu.network.couplings.newton import Newton, newton
@@ -135,6 +136,28 @@ def test_an_event_ends_what_follows_from_a_tunable_parameter(tmp_path: Path) -> 
         own = Coupled(network, members(network, 4), newton)
         one, two = (gradient(network, m, options, ["mass1.q@end"], ["spring12.k"], mode="forward") for m in (made, own))
         assert one.slopes == pytest.approx(two.slopes, rel=1e-11)
+
+
+def test_a_row_of_the_start_without_derivatives_is_told(tmp_path: Path) -> None:
+    """Voltages at a node of inductors are no matter of the instant: what follows them is not derived at the start."""
+    network, options = scene("smib")
+    with unit_members(tmp_path) as make:
+        data = run(make(network, ONE, 1, options.step, coupling=newton), options)
+        table = Table(["bus1.v[1]"], data.time, data.column("bus1.v[1]")[:, None], ["V"])
+        for first, said in ((0, "bus1.v\\[1\\] has no derivative in the row of the start"), (1, "")):
+            some = Table(table.names, table.time[first:], table.values[first:], table.units)
+            apart = make(network, ONE, 1, options.step, coupling=newton)
+            tries = [Experiment("data", some, options)]
+            if said:
+                with pytest.raises(ValueError, match=said):
+                    fit(network, apart, tries, ["gen.J"], ["bus1.v[1]"])
+            else:
+                found = fit(network, apart, tries, ["gen.J"], ["bus1.v[1]"])
+                assert found.residual < 1e-9
+        for mode in ("forward", "reverse"):
+            apart = make(network, ONE, 1, options.step, coupling=newton)
+            with pytest.raises(ValueError, match="has no derivative in the row of the start"):
+                gradient(network, apart, options, ["integral(bus1.v[1]^2)"], ["gen.J"], mode=mode)
 
 
 # -- the command line ----------------------------------------------------------------------------------------------------

@@ -20,6 +20,7 @@ from phfmu.derivatives.apart.derived_members import DerivedMembers
 from phfmu.derivatives.apart.in_turn_maps import InTurnMaps
 from phfmu.derivatives.apart.joint_maps import AnyMaps, JointMaps, JointSteps
 from phfmu.derivatives.apart.member_maps import MemberMaps
+from phfmu.derivatives.by import require_known
 from phfmu.network.couplings.coupled import Coupled
 from phfmu.outcome.steps import Steps
 from phfmu.signals import Quantity
@@ -125,7 +126,9 @@ class TapedMembers(DerivedMembers):
         for m, own in enumerate(weights):
             for name, c in own.items():
                 if name in self.own_names and c[0]:
-                    found[:, m] += c[0] * slopes[self.own_names.index(name)]
+                    own_slopes = slopes[self.own_names.index(name)]
+                    require_known(own_slopes, name)
+                    found[:, m] += c[0] * own_slopes
         return found.T
 
     def _over(self, s: _Stretch, bars: list[_Bars], xi: list[Array], found: Array) -> None:
