@@ -75,6 +75,14 @@ class Newton:
         return self.plan.hold.of(np.ones(len(self.plan.hold), bool))
 
     @property
+    def _loses_rank(self) -> bool:
+        """Whether constraints may lose rank beside masses that move by more than the rounding of forces.
+
+        Beside vanishing ones the multipliers are what moves them.
+        """
+        return len(self.plan.hold) > 0 and not self.plan.hold.vanishing
+
+    @property
     def ways(self) -> tuple[tuple[bool, bool], ...]:
         """What to try in turn: `bare`, and whether to start without the last forces of constraints.
 
@@ -241,14 +249,14 @@ class Newton:
         if out.update <= TOLERANCE and (not grew or last <= TOLERANCE) and ratio**2 * out.update <= ROUNDING:
             return True
         crawls = CRAWL < ratio < 1.0
-        if out.moved > (CRAWLING if crawls else STAGNATION):
+        if (out.moved if self._loses_rank else out.update) > (CRAWLING if crawls else STAGNATION):
             return False
         if wanders >= WANDERING:
-            return self._at_floor(out.w, r, fixed, float(len(self.plan.hold) > 0))
+            return self._at_floor(out.w, r, fixed, float(self._loses_rank))
         if ratio <= SHRINKING:
             return False
         noise = ratio >= 1.0 - SAME_UPDATE and out.update <= TOLERANCE
-        return stalls >= STALLS and (noise or self._at_floor(out.w, r, fixed, float(crawls or len(self.plan.hold) > 0)))
+        return stalls >= STALLS and (noise or self._at_floor(out.w, r, fixed, float(crawls or self._loses_rank)))
 
     def _at_floor(self, w: Array, r: Array, fixed: Fixed, nominal: float = 0.0) -> bool:
         """All rows are rounding."""
@@ -265,7 +273,7 @@ class Newton:
         """
         plan, x, h = self.plan, fixed[0], fixed[3]
         size = np.bincount(plan.update_w, np.abs(x[plan.update_x]), plan.nw) + np.abs(w)
-        part = np.full(plan.nw, nominal if len(plan.hold) else 0.0)
+        part = np.full(plan.nw, nominal if self._loses_rank else 0.0)
         part[plan.matrix.row[plan.regularised]] = nominal
         column = np.repeat(np.arange(plan.nw), np.diff(plan.colptr))
         a = np.abs(self.evaluator.matrix(h))

@@ -129,6 +129,12 @@ static ph_real correct(ph_system *s, const ph_real *base, double damping) {
 
 #ifndef PH_WIDTH
 
+/* Whether constraints may lose rank beside masses that move by more than the rounding of forces; beside
+ * vanishing ones the multipliers are what moves them. */
+static int loses_rank(const ph_plan *p) {
+    return p->nhold > 0 && !p->vanishing;
+}
+
 /* size (nw): what rounding leaves in each row, eps sum_j |A_ij| (|w_j| + |x_j|), x_j the state whose
  * increment w_j is. A residual of that size belongs to equations changed by eps alone. nominal = 1 judges
  * rows by the nominal size of their unknowns too, all of a model whose constraints may lose rank, else those
@@ -139,7 +145,7 @@ static void rounding(const ph_system *s, double nominal, double *size) {
     double *part = s->rhs; /* of the nominal size in a row */
     for (int i = 0; i < p->nw; i++) {
         size[i] = 0.0;
-        part[i] = p->nhold > 0 ? nominal : 0.0;
+        part[i] = loses_rank(p) ? nominal : 0.0;
     }
     for (int l = 0; l < p->nreg; l++)
         part[p->matrix_row[p->regularised[l]]] = nominal;
@@ -228,7 +234,7 @@ static double moved(const ph_system *s) {
 
 /* Whether the last update is small enough (course.h), the floor looked at where that decides. */
 static int solved(const ph_system *s, const ph_course *c) {
-    const int holds = s->plan->nhold > 0;
+    const int holds = loses_rank(s->plan);
     const ph_verdict verdict = ph_course_verdict(c, holds);
     if (verdict < PH_AT_FLOOR)
         return verdict == PH_SOLVED;
