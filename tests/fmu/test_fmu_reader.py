@@ -175,8 +175,10 @@ def test_directional_derivatives_of_other_pairs_are_refused(circuits, version: s
             return unit._slave.derivative(Derivative(group, unit.variable(known), ROWS[version]))
 
         for unknown, known, words in (
-            ("psi", "line.v", "'psi' is not an output of an external port"),
-            ("line.i_step", "psi", "'psi' is not an input of a port"),
+            ("load.i", "line.v", "'load.i' is not an output of an external port"),
+            ("line.i_step", "line.i", "'line.i' is not an input of a port"),
+            ("line.v", "psi", "'line.v' has no derivative"),
+            ("psi", "line.i", "'line.i' is no state, parameter or input to derive by"),
         ):
             with pytest.raises(FMUError, match=words):
                 slope([unknown], known)
