@@ -26,7 +26,7 @@ from dataclasses import replace
 import numpy as np
 from phfmu import Collocated, Coupled, EngineMember, NativeInstance, Options, StepFailure, build_model, run
 from tests.network.test_master_sanitized import refused
-from phfmu.components.scenes.%s import %s as make
+from phfmu.components.scenes import %s as make
 scene = make()
 def members(k):
     models = {n: build_model(d, Collocated(k)) for n, d in scene.system.separate().items()}
@@ -46,7 +46,7 @@ for k in (1, 2):
 @pytest.mark.parametrize("scene", ["oscillator", "smib", "speed_control"])
 def test_nothing_is_out_of_bounds(tmp_path: Path, scene: str) -> None:
     """Held values and node values, impulses (smib), signals (speed_control), an event, and steps that are refused."""
-    assert output(CODE % (scene, scene), tmp_path) == ["steps", "8"] * 2
+    assert output(CODE % scene, tmp_path) == ["steps", "8"] * 2
 
 
 UNITS = """
