@@ -85,10 +85,7 @@ class By:
     def of(declaration: PHDAE, names: Sequence[str]) -> By:
         """Vectors stand for all their entries.  KeyError names what is no parameter, input or state."""
         d = declaration
-        p = [n for v in d.parameters for n in v.names()]
-        u = [n for q in d.ports if q.external and not q.signal for n in q.input_names()]
-        x = [n for v in d.states for n in v.names()]
-        found = By.chosen(p, u, x, names, d.unknown_name)
+        found = By.chosen(*declared_scalars(d), names, d.unknown_name)
         if modes := [n for n in found.names if n in d.modes]:
             raise KeyError(f"{d.name}: '{modes[0]}' is a mode that state events set; there is no derivative by it")
         return found
@@ -139,6 +136,12 @@ class By:
         found = np.zeros((*along.shape[:-1], len(self.names)))
         found[..., list(self.columns)] = along
         return found
+
+
+def declared_scalars(d: PHDAE) -> tuple[list[str], list[str], list[str]]:
+    """Scalar parameters, inputs of external ports with power, and states of a declaration."""
+    p, x = ([n for v in own for n in v.names()] for own in (d.parameters, d.states))
+    return p, [n for q in d.ports if q.external and not q.signal for n in q.input_names()], x
 
 
 def require_known(slopes: Array, signal: str) -> None:

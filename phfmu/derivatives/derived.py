@@ -99,7 +99,7 @@ def close_events(met: Sequence[Met], names: Sequence[str], h: float) -> list[str
 
 
 def identity_of(model: Model) -> tuple[Any, ...]:
-    """What runs of a model that are kept belong to."""
+    """The model with its scheme and start values, which tell runs that are kept from those of others."""
     d = model.declaration
     names = [v.name for v in (*d.states, *d.parameters)]
     return model.name, model.scheme.name, model.step.k, names, model.x0, model.p0, model.u0
@@ -170,7 +170,7 @@ class DerivedSteps(Monolithic):
 
     @property
     def identity(self) -> tuple[Any, ...]:
-        """What runs that are kept belong to."""
+        """As `identity_of`."""
         return identity_of(self.model)
 
     @property

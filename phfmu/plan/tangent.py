@@ -19,33 +19,25 @@ import casadi as ca
 from phfmu.plan.plan import Kernel, Plan
 
 
-@lru_cache(maxsize=1024)
-def _tangent(function: ca.Function) -> ca.Function:
-    x, y, p = function.sx_in()
-    out = function.call([x, y, p])[0]
-    dx, dy = ca.SX.sym("dx", x.numel()), ca.SX.sym("dy", y.numel())
-    along = ca.densify(ca.jtimes(out, ca.vertcat(x, y), ca.vertcat(dx, dy)))
-    (along,) = ca.cse([along])
-    return ca.Function("tangent", [x, y, p, dx, dy], [along], {"allow_free": False})
+@lru_cache(maxsize=2048)
+def _along(function: ca.Function, name: str, moving: tuple[int, ...]) -> ca.Function:
+    """(x, y, p, a direction of each moving argument) -> change of the results along these."""
+    arguments = function.sx_in()
+    (out, *_) = function.call(arguments)
+    moved = [arguments[i] for i in moving]
+    directions = [ca.SX.sym("d", a.numel()) for a in moved]
+    along = ca.densify(ca.jtimes(out, ca.vertcat(*moved), ca.vertcat(*directions)))
+    return ca.Function(name, [*arguments, *directions], ca.cse([along]), {"allow_free": False})
 
 
 def tangent(kernel: Kernel) -> ca.Function:
     """(x, y, p, dx, dy) -> d out of a kernel."""
-    return _tangent(kernel.function)
-
-
-@lru_cache(maxsize=1024)
-def _slope(function: ca.Function) -> ca.Function:
-    x, y, p = function.sx_in()
-    out = function.call([x, y, p])[0]
-    dp = ca.SX.sym("dp", p.numel())
-    (along,) = ca.cse([ca.densify(ca.jtimes(out, p, dp))])
-    return ca.Function("slope", [x, y, p, dp], [along], {"allow_free": False})
+    return _along(kernel.function, "tangent", (0, 1))
 
 
 def slope(kernel: Kernel) -> ca.Function | None:
     """(x, y, p, dp) -> d out of a kernel along a direction of its parameters; None for one that has none."""
-    return _slope(kernel.function) if kernel.np else None
+    return _along(kernel.function, "slope", (2,)) if kernel.np else None
 
 
 def differentiated(plan: Plan, reports: bool = False) -> list[Kernel]:

@@ -89,11 +89,11 @@ class EnergySteps:
         self.stepper = _ecco_fits(stepper) if self._ecco else _fits(stepper)
         tolerance = options.ecco if self._ecco else options.energy_rtol
         assert tolerance is not None
-        joined, coupling = self.stepper.joined, self.stepper.coupling
+        joined = self.stepper.joined
         #: members that cannot take a step back; where there is one, no step is taken again
         self.stuck = [m.name for m in joined.members if not m.saves or m.finishes]
         self._again = not self._ecco and not self.stuck
-        self._makes = not solves_rows(coupling) or bool(joined.put_off)
+        self._makes = not self.stepper.solves_rows or bool(joined.put_off)
         #: of the residuals in h
         self._order = 2 if self._makes else 3
         self._rule = ECCO if self._ecco else rule(self._order)
@@ -224,7 +224,7 @@ def _ports(stepper: Coupled, junctions: Iterable[str]) -> list[Array]:
 
 def _ecco_fits(stepper: Stepper) -> Coupled:
     """The stepper of a coupling whose junctions make energy."""
-    if not isinstance(stepper, Coupled) or solves_rows(stepper.coupling):
+    if not isinstance(stepper, Coupled) or stepper.solves_rows:
         once = " or ".join(row.name for row in COUPLINGS.values() if row.apart and not solves_rows(row.kind))
         raise ValueError(f"--ecco follows the energy that junctions make; add --coupling {once}, or leave it out")
     return stepper

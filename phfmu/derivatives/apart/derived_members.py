@@ -15,7 +15,7 @@ from phfmu.derivatives.apart.joint_events import JointEvents
 from phfmu.derivatives.apart.joint_maps import AnyMaps, JointMaps, JointSteps
 from phfmu.derivatives.apart.member_maps import MemberMaps
 from phfmu.derivatives.apart.unit_maps import UnitMaps, scalars_of, why_not
-from phfmu.derivatives.by import By, Given
+from phfmu.derivatives.by import By, Given, declared_scalars
 from phfmu.derivatives.derived import close_events, identity_of
 from phfmu.derivatives.tangents import Tangents, of_quantities, require_derived
 from phfmu.discretise.model import Model, build_model
@@ -115,7 +115,7 @@ class DerivedMembers(Coupled):
 
     @property
     def identity(self) -> tuple[Any, ...]:
-        """What runs that are kept belong to."""
+        """The network, its units and start values, which tell runs that are kept from those of others."""
         if not self.with_units:
             return identity_of(self.model)
         tokens = [m.unit.interface.token for m in self.joined.members if isinstance(m, FMUMember)]
@@ -426,9 +426,7 @@ def _scalars(m: Member) -> tuple[list[str], list[str], list[str]]:
     if isinstance(m, FMUMember):
         return scalars_of(m)
     assert isinstance(m, EngineMember)
-    d = m.model.declaration
-    p, x = ([n for v in own for n in v.names()] for own in (d.parameters, d.states))
-    return p, [n for q in d.ports if q.external and not q.signal for n in q.input_names()], x
+    return declared_scalars(m.model.declaration)
 
 
 def _own(m: Member, names: Sequence[str]) -> By:
@@ -454,21 +452,15 @@ def _filled(values: Array, names: Sequence[str], known: Mapping[str, float]) -> 
 def _require_derivable(network: Network, members: Sequence[Member]) -> None:
     """ValueError names units without derivatives, and what each lacks."""
     units = [m.inner if isinstance(m, SteppedLast) else m for m in members if not isinstance(m, EngineMember)]
-    _require_nothing_missing(
-        network, {m.name: why_not(m) if isinstance(m, FMUMember) else _NO_DERIVATIVES for m in units}
-    )
+    why = dict[str, list[str]]()
+    for m in units:
+        if words := why_not(m) if isinstance(m, FMUMember) else _NO_DERIVATIVES:
+            why.setdefault(words, []).append(m.name)
+    if why:
+        told = "; ".join(f"{', '.join(names)}: {words}" for words, names in why.items())
+        raise ValueError(f"{network.name}: there are no derivatives of runs through units: {told}; {_REMEDY}")
     if late := [m.name for m in members if isinstance(m, SteppedLast)]:
         raise ValueError(
             f"{network.name}: there are no derivatives of runs through units that are stepped last ({', '.join(late)}); "
             f"{_REMEDY}"
         )
-
-
-def _require_nothing_missing(network: Network, missing: Mapping[str, str]) -> None:
-    why = dict[str, list[str]]()
-    for name, words in missing.items():
-        if words:
-            why.setdefault(words, []).append(name)
-    if why:
-        told = "; ".join(f"{', '.join(names)}: {words}" for words, names in why.items())
-        raise ValueError(f"{network.name}: there are no derivatives of runs through units: {told}; {_REMEDY}")

@@ -62,6 +62,7 @@ static void start_free(ph_system *s) {
  * where there were enough iterations. */
 static int attempt(ph_system *s, double h, int rest, ph_newton_kind kind) {
     const int ways = s->plan->nhold > 0 ? 3 : 1, delta = s->plan->vanishing ? 0 : ways - 1;
+    const int without = delta == 0 ? 2 : 1;
     int status = PH_NO_CONVERGENCE;
     for (int i = 0; status && i < ways; i++) {
         if (s->count[PH_ITERATIONS] >= s->most)
@@ -71,7 +72,7 @@ static int attempt(ph_system *s, double h, int rest, ph_newton_kind kind) {
             start_rest(s);
         else
             start_guess(s, s->last, h / *s->last_h);
-        if (i != delta && i == 1 + (delta == 0))
+        if (i == without)
             start_free(s);
         status = solve(s, kind);
     }

@@ -20,18 +20,17 @@ size_t fmu_along_room(const fmu_interface *about, const ph_sizes *p) {
     return (size_t)(2 * outputs + p->nx + 1 + p->na + p->np + p->na + p->nobs + 2 * n + n * n);
 }
 
-/* Directions of the impulses at start and end (2 n), and behind them the change of their jump (n*n). */
-static double *impulses_of(const fmu *f) {
-    const ph_sizes *p = &f->sizes;
-    return f->direction + 2 * p->k * p->nu + p->nx + 1 + p->na + p->np + p->na + p->nobs;
-}
-
 /* The direction, laid out in the memory of the instance. */
 static ph_directions direction(const fmu *f) {
     const ph_sizes *p = &f->sizes;
     double *du = f->direction, *dy = du + p->k * p->nu, *dx = dy + p->k * p->nu, *dp = dx + p->nx + 1 + p->na,
            *da = dp + p->np, *dobs = da + p->na;
     return (ph_directions){.n = 1, .du = du, .dx = dx, .dy = dy, .dp = dp, .da = da, .dobs = dobs};
+}
+
+/* Directions of the impulses at start and end (2 n), and behind them the change of their jump (n*n). */
+static double *impulses_of(const fmu *f) {
+    return direction(f).dobs + f->sizes.nobs;
 }
 
 static int kind_of(const fmu *f, const fmu_variable *v) {

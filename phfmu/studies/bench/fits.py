@@ -305,12 +305,11 @@ def page(progress: Callable[[str], None] = lambda _: None, picture: Path | None 
 
 In {good} of {len(s.fits)} draws all eight values are within three of their standard errors of the true ones; of {size} deviations
 {beyond} {"is" if beyond == 1 else "are"} larger, where normal ones have {0.0027 * size:.1f}; normal deviations with the
-correlations of the first fit are all within three in {100 * within(s.fits[0].found):.0f} % of draws. Their root
-mean square is {np.sqrt(np.mean(off**2)):.2f} standard errors, and the
-mean square of the eight at once, in the metric of their covariance, is
-{np.mean([f.joint for f in s.fits]):.2f} (1 expected, {np.sqrt(2 / size):.2f} its own deviation). That is where the error of the
-steps is seen first: those of 0.2 ms move each value by a tenth of its standard error, but all in the one direction that the
-data tell best, and the mean square is 1.23.
+correlations of the first fit are all within three in {100 * within(s.fits[0].found):.0f} % of draws. Their root mean square is
+{np.sqrt(np.mean(off**2)):.2f} standard errors; the mean square of the eight at once, in the metric of their covariance, is
+{np.mean([f.joint for f in s.fits]):.2f} (1 expected, its own deviation {np.sqrt(2 / size):.2f}). The error of the steps is seen
+there first: those of 0.2 ms move each value by a tenth of its standard error only, but all in the one direction that the data
+tell best, and the mean square is 1.23.
 
 ![Currents of the phases and the field, measured and fitted, and deviations of all draws](img/fits.png)
 
