@@ -12,17 +12,18 @@ def junction_words(declaration: PHDAE, unknown: str, value: float) -> str:
     The row of a common variable sums the other one of the pair; that of a port's input says that the port gives the common
     variable.
     """
+    begins = unknown.partition("[")[0]
+    fed = next((p for p in declaration.ports if unknown in p.input_names()), None)
     for junction, ends in declaration.junctions:
-        ports = [p for p in declaration.ports if p.name in ends]
-        if not ports:
-            continue
-        effort, flow = ports[0].domain.effort, ports[0].domain.flow
-        for shared, other in ((effort, flow), (flow, effort)):
-            if unknown.partition("[")[0] == f"{junction}.{shared}":
-                return f"{other} of {listed(ends)} sum to {value:.6g} {_unit(ports[0], other)}"
-        for p in ports:
-            if unknown in p.input_names():
-                return spread_words(p, ends, value)
+        if begins.startswith(f"{junction}.") and (
+            first := next((p for p in declaration.ports if p.name in ends), None)
+        ):
+            effort, flow = first.domain.effort, first.domain.flow
+            for shared, other in ((effort, flow), (flow, effort)):
+                if begins == f"{junction}.{shared}":
+                    return f"{other} of {listed(ends)} sum to {value:.6g} {_unit(first, other)}"
+        if fed is not None and fed.name in ends:
+            return spread_words(fed, ends, value)
     return ""
 
 

@@ -187,6 +187,12 @@ def _instant(declaration: PHDAE, joint: bool, rests: bool) -> tuple[Plan, list[C
     return instant_plan(_terms(declaration, joint), rests=rests)
 
 
+@lru_cache(maxsize=1)
+def _events(declaration: PHDAE, joint: bool) -> Callable[[Polynomial], EventPlan]:
+    """The state events of a declaration, which schemes have in common but for the polynomial of their steps."""
+    return event_plan(_terms(declaration, joint))
+
+
 def _discretised(declaration: PHDAE, scheme: Scheme, lands: bool) -> Model:
     terms = _terms(declaration, scheme.joint)
     step, layout = step_plan(terms, scheme)
@@ -197,7 +203,7 @@ def _discretised(declaration: PHDAE, scheme: Scheme, lands: bool) -> Model:
         checks=tuple(checks), check_scale=check_scales(terms, checks, own["x0"], own["p0"]), row_names=tuple(layout.names()),
         instant_names=tuple(instant_layout.names()), members=tuple(terms.members),
         observable_names=tuple(terms.observable_names), hold_names=hold_names(terms) if len(step.hold) else (),
-        events=event_plan(terms, Polynomial(layout, scheme.nodes, scheme.maps(layout))) if lands else None,
+        events=_events(declaration, scheme.joint)(Polynomial(layout, scheme.nodes, scheme.maps(layout))) if lands else None,
     )  # fmt: skip
 
 

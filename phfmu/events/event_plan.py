@@ -6,8 +6,9 @@ what feeds them.  So a guard without algebraic variables costs no solve.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import casadi as ca
 import numpy as np
@@ -75,8 +76,8 @@ class EventPlan:
         return [g.kernel for g in (*self.groups, *self.rates, *(() if self.jump is None else (self.jump.group,)))]
 
 
-def event_plan(terms: Terms, polynomial: Polynomial) -> EventPlan:
-    """The state events of a model, perhaps none.  DeclarationError names what does not fit."""
+def event_plan(terms: Terms) -> Callable[[Polynomial], EventPlan]:
+    """The state events of a model, perhaps none, for steps of any polynomial.  DeclarationError names what does not fit."""
     model = terms.model
     events = model.state_events
     index = {n: i for i, n in enumerate(n for v in model.parameters for n in v.names())}
@@ -85,7 +86,8 @@ def event_plan(terms: Terms, polynomial: Polynomial) -> EventPlan:
     groups = _groups(terms, guards)
     solves = any((g.yi < terms.na).any() for g in groups)
     rates = _rates(terms, guards)
-    return EventPlan(
+    return partial(
+        EventPlan,
         tuple(e.guard.name for e in events),
         np.array([e.guard.direction for e in events], np.int8),
         np.array([e.guard.nominal for e in events], float),
@@ -98,7 +100,6 @@ def event_plan(terms: Terms, polynomial: Polynomial) -> EventPlan:
         _settings(index, (e.sets for e in events)),
         _settings(index, (e.rest for e in events)),
         jump_tables(terms, events),
-        polynomial,
     )
 
 
@@ -176,20 +177,29 @@ def _rates(terms: Terms, guards: Mapping[int, tuple[str, ca.SX]]) -> dict[int, t
     f = flow_expressions(terms, z, inputs)[0]
     velocity = velocity_of(terms) if terms.of(CONSTRAINT) else {}
     unknown = set(terms.with_descriptor()) | {velocity[i] for t in terms.of(CONSTRAINT) for i in t.index[Value.STATE]}
-    hidden = ca.vertcat(ca.SX(0, 1), *(z[i] for i in terms.solved_costates()))
-    algebraic = ca.vertcat(ca.SX(0, 1), *(v.sx for v in model.algebraics))
+    hidden = {z[i].element_hash() for i in terms.solved_costates()}
+    algebraic = {s.element_hash() for v in model.algebraics for s in ca.vertsplit(v.sx)}
+    flow = dict(enumerate(ca.vertsplit(f)))
+    place = {s.element_hash(): i for i, s in enumerate(s for v in model.states for s in ca.vertsplit(v.sx))}
     known: dict[int, ca.SX] = {}
     for i, (_, expr) in guards.items():
-        slope = ca.jacobian(expr, model.x)
-        rate = ca.mtimes(slope, f) + ca.jacobian(expr, time)
-        if not ({int(c) for c in slope.sparsity().get_triplet()[1]} & unknown or ca.depends_on(rate, hidden)):
+        own = {place[h]: s for h, s in _symbols(expr).items() if h in place}
+        read = sorted(own)
+        slope = ca.jacobian(expr, ca.vertcat(ca.SX(0, 1), *(own[j] for j in read)))
+        rate = ca.mtimes(slope, ca.vertcat(ca.SX(0, 1), *(flow[j] for j in read))) + ca.jacobian(expr, time)
+        if not ({read[c] for c in slope.sparsity().get_triplet()[1]} & unknown or _symbols(rate).keys() & hidden):
             known[i] = ca.densify(rate)
     rates = at_instant(terms, [(guards[i][0], rate) for i, rate in known.items()])
     return {
         i: (guards[i][0], rate)
         for i, rate in zip(known, rates, strict=True)
-        if not rate.is_constant() and not ca.depends_on(ca.vertcat(guards[i][1], rate), algebraic)
+        if not rate.is_constant() and not (_symbols(guards[i][1]).keys() | _symbols(rate).keys()) & algebraic
     }
+
+
+def _symbols(expr: ca.SX) -> dict[int, ca.SX]:
+    """The symbols of an expression by their hashes."""
+    return {s.element_hash(): s for s in ca.symvar(expr)}
 
 
 def _spec(term: Term) -> Spec:

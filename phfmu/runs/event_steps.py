@@ -14,7 +14,6 @@ from phfmu.engine.landing.locate import EPS
 from phfmu.engine.record import Grid
 from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.network.couplings.stepper import Landing
-from phfmu.network.members.consistent import InconsistentState
 from phfmu.outcome.limits import LIMITS, defined
 from phfmu.outcome.status import StepFailure
 from phfmu.outcome.steps import StepEvent
@@ -69,11 +68,8 @@ class Booked:
         self.book.happened(e)
         if self._ringing is not None:
             self._ringing.happened(e.t, e.names)
-        try:
+        if not self.book.as_near(row):
             self.stepper.check_start()
-        except InconsistentState:
-            if not self.book.as_near(row):
-                raise
         return np.array([e.t]), row[None], np.zeros(1, bool)
 
 
