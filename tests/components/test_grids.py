@@ -17,8 +17,9 @@ from phfmu.cli import main
 from phfmu.components.electrical.capacitors import capacitor_network
 from phfmu.components.grids import Fault, GridModel, Trip, fault_of, grid_model, grid_scene, trip_of
 from phfmu.components.grids.lattice import lattice
-from phfmu.components.scenes.electrical.grids import public_grid, wecc240
+from phfmu.components.scenes.electrical.grids import new_england, public_grid, wecc240
 from phfmu.importers.grid import Demand, Dynamics, Grid, GridError, Line, Shunt, Transformer, read_raw, with_dynamics
+from tests.reference.phasor_reference import Swings, admittance
 from tests.wide import wide
 
 CASES = Path(__file__).parent.parent / "reference" / "data" / "grids"
@@ -37,31 +38,6 @@ def published(name: str) -> dict[str, Any]:
 
 def nine() -> Grid:
     return with_dynamics(read_raw(CASES / "ieee9.raw"), CASES / "ieee9_gen.csv")
-
-
-def admittance(grid: Grid) -> tuple[list[int], np.ndarray]:
-    """Buses and the admittance matrix of all that is linear but loads: an account of its own, in phasors."""
-    numbers = [b.number for b in grid.buses]
-    at, Y = {n: k for k, n in enumerate(numbers)}, np.zeros((len(numbers), len(numbers)), complex)
-    for b in (*grid.lines, *grid.transformers):
-        if not b.on:
-            continue
-        i, j, y = at[b.i], at[b.j], 1.0 / complex(b.r, b.x)
-        if isinstance(b, Transformer):
-            t = b.tap * np.exp(1j * b.shift)
-            Y[[i, j, i, j], [i, j, j, i]] += y / abs(t) ** 2 + complex(b.g, b.b), y, -y / np.conj(t), -y / t
-        else:
-            g1, b1, g2, b2 = b.ends
-            Y[[i, j, i, j], [i, j, j, i]] += (
-                y + 1j * b.b / 2 + complex(g1, b1),
-                y + 1j * b.b / 2 + complex(g2, b2),
-                -y,
-                -y,
-            )
-    for s in grid.shunts:
-        if s.on:
-            Y[at[s.bus], at[s.bus]] += complex(s.g, s.b) / grid.base
-    return numbers, Y
 
 
 def mismatch(m: GridModel) -> float:
@@ -105,6 +81,26 @@ def test_new_england_is_solved_as_by_pandapower() -> None:
     m = model("new_england")
     V = m.voltages()
     assert max(abs(V[b.number] - b.vm * np.exp(1j * b.va)) for b in m.grid.buses) < 1e-9
+
+
+@pytest.mark.slow
+def test_machines_swing_as_by_phasors() -> None:
+    """After a fault of 50 ms, to a twentieth of the swing: phasors leave out direct currents, which brake the machines."""
+    scene = new_england(t_clear=0.15, stop=1.2)
+    m = build_model(scene.declaration(), Collocated(1))
+    own = run(
+        Monolithic(m, NativeInstance(m)),
+        Options(
+            stop=scene.stop, step=1e-4, events=scene.events, restart=scene.restart, signals=("gen*.theta",), every=0.01
+        ),
+    )
+    swings = Swings(public_grid("new_england"))
+    at = own.time > 0.151
+    turned = np.array([own.column(f"gen{b}.theta") - own.column(f"gen{b}.theta")[0] for b in swings.buses])
+    turned -= turned.mean(axis=0)
+    theirs = swings.after(16, 0.1, 0.15, own.time[at])
+    assert np.abs(theirs).max() > 0.35
+    assert np.abs(turned[:, at] - theirs).max() < 0.06 * np.abs(theirs).max()
 
 
 @pytest.mark.parametrize("n", (9, 60, 250))
