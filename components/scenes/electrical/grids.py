@@ -56,7 +56,7 @@ def wecc240(
 ) -> Scene:
     """243 buses of the reduced WECC system, 111 machines, 91 plants as constant currents; the arguments are those of `ieee39`.
 
-    With controls=True the machines have their 232 controllers, whose 1126 state events take some 20 s to plan.
+    With controls=True the machines have their 232 controllers, with 1126 state events.
 
     Source: ParaEMT_public of NREL, BSD 3-clause; phfmu/components/grids/data.
     """
