@@ -112,4 +112,4 @@ from phfmu.terms.rank import constraint_rank as constraint_rank
 from phfmu.words import meant as meant
 
 __version__: str
-__all__: tuple[str, ...]
+__all__: list[str]
