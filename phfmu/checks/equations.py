@@ -11,8 +11,8 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
-from phfmu.declare.entries import Entries, key
-from phfmu.declare.entry_kind import EntryKind
+from phfmu.declare.entries.entries import Entries, key
+from phfmu.declare.entries.entry_kind import EntryKind
 from phfmu.declare.error import DeclarationError, Problem
 from phfmu.declare.junction_words import junction_words
 from phfmu.declare.phdae import PHDAE

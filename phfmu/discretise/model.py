@@ -15,10 +15,10 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.declare.alike import first_alike
+from phfmu.declare.entries.alike import first_alike
+from phfmu.declare.entries.starts import starts
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.phdae import PHDAE, require_declaration
-from phfmu.declare.starts import starts
 from phfmu.declare.variable import Variable, _sx
 from phfmu.discretise.instant import instant_plan
 from phfmu.discretise.onestep import step_plan

@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.declare.alike import first_alike
+from phfmu.declare.entries.alike import first_alike
 from phfmu.declare.phdae import PHDAE
 from phfmu.engine.impulses import port_kernels
 from phfmu.events.impulse import Columns

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from phfmu.declare.coefficients import coefficient
+from phfmu.declare.entries.coefficients import coefficient
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.event import Jump, StateEvent
 from phfmu.declare.variable import VariableKind, _sx

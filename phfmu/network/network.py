@@ -14,9 +14,9 @@ from operator import is_
 from os import PathLike
 from typing import TYPE_CHECKING, Any
 
+from phfmu.declare.expressions.units import parse_unit
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import Port
-from phfmu.declare.units import parse_unit
 from phfmu.html import grid
 from phfmu.network.compose import compose
 from phfmu.network.junction import KIND, SHARED, ConnectionError, End, Junction, Kind

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from phfmu.declare.operations import degree, piecewise
+from phfmu.declare.expressions.operations import degree, piecewise
 from phfmu.declare.variable import Value
 from phfmu.gradients.gradients import QUOTIENT_GUARD, general, guarded, projected
 from phfmu.gradients.quadrature import Nodes, gauss

@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 
 from phfmu.declare.energy import EnergyKind
-from phfmu.declare.operations import degree, piecewise
+from phfmu.declare.expressions.operations import degree, piecewise
 from phfmu.declare.variable import Value
 from phfmu.gradients.quadrature import nodes
 from phfmu.plan.differences import Sampled

@@ -14,8 +14,8 @@ from dataclasses import asdict, dataclass
 from math import copysign, isclose
 from pathlib import Path
 
+from phfmu.declare.expressions.units import UnitError, parse_unit, unit_text
 from phfmu.declare.port import Given, conjugate
-from phfmu.declare.units import UnitError, parse_unit, unit_text
 from phfmu.fmu.export.description import generation_date, generation_tool
 from phfmu.fmu.export.manifest import PortMap
 from phfmu.fmu.export.package import write

@@ -9,9 +9,9 @@ import casadi as ca
 
 from phfmu.declare.energy import Energy, EnergyKind
 from phfmu.declare.error import DeclarationError
-from phfmu.declare.operations import degree, piecewise
+from phfmu.declare.expressions.operations import degree, piecewise
+from phfmu.declare.expressions.summands import summands
 from phfmu.declare.phdae import PHDAE
-from phfmu.declare.summands import summands
 from phfmu.declare.variable import Value
 from phfmu.terms.canonical import Locator, alike, make_term, scalars
 from phfmu.terms.located import Row, RowAt

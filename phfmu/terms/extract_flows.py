@@ -9,7 +9,7 @@ from functools import cached_property
 import casadi as ca
 
 from phfmu.declare.block import Block
-from phfmu.declare.coefficients import coefficient
+from phfmu.declare.entries.coefficients import coefficient
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import Port

@@ -5,10 +5,10 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from phfmu.declare.coefficients import square, stacked
+from phfmu.declare.entries.coefficients import square, stacked
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.phdae import PHDAE
-from phfmu.declare.regular import undetermined
+from phfmu.declare.transform.regular import undetermined
 from phfmu.declare.variable import Value, VariableKind
 from phfmu.terms.canonical import Locator, make_term, scalars
 from phfmu.terms.located import Row, RowAt

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 from phfmu.words import counted
 
 if TYPE_CHECKING:
+    from phfmu.declare.entries.parameter_limits import Limit
     from phfmu.declare.event import StateEvent
-    from phfmu.declare.parameter_limits import Limit
     from phfmu.declare.phdae import PHDAE
     from phfmu.declare.variable import Variable
     from phfmu.network.network import Network
@@ -63,7 +63,7 @@ def print_many(network: Network) -> None:
 
 def _kinds(network: Network) -> dict[str, list[str]]:
     """Kind -> members: declarations with the same equations, FMUs of the same file."""
-    from phfmu.declare.alike import first_alike
+    from phfmu.declare.entries.alike import first_alike
 
     found: dict[object, list[str]] = {}
     for name, d in network.declared.items():
@@ -212,7 +212,7 @@ def _print_apart(s: Scene, network: Network, arguments: list[str]) -> None:
 
 def _print_declaration(d: PHDAE, target: str) -> None:
     """States, parameters, ports, constraints and observables."""
-    from phfmu.declare.parameter_limits import limits
+    from phfmu.declare.entries.parameter_limits import limits
 
     limit = limits(d)
     signals = tuple(v for v in d.parameters if v.signal)

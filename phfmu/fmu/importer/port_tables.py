@@ -18,8 +18,8 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
+from phfmu.declare.expressions.units import Unit, UnitError, is_power, parse_unit
 from phfmu.declare.port import DOMAINS, Domain, Given, conjugate
-from phfmu.declare.units import Unit, UnitError, is_power, parse_unit
 from phfmu.fmu.export.manifest import PortMap
 from phfmu.fmu.export.variables import FMUError
 from phfmu.fmu.importer.unit_interface import UnitInterface

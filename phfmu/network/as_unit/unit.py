@@ -15,7 +15,7 @@ from typing import Any
 
 import casadi as ca
 
-from phfmu.declare.parameter_limits import limits
+from phfmu.declare.entries.parameter_limits import limits
 from phfmu.declare.phdae import PHDAE
 from phfmu.discretise.model import Model
 from phfmu.engine.native.library import driver_sources

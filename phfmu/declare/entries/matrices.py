@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import casadi as ca
 
-from phfmu.declare.coefficients import coefficient, square, stacked
+from phfmu.declare.entries.coefficients import coefficient, square, stacked
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.variable import Variable, key, slices
 

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.declare.energy import EnergyKind
-from phfmu.declare.entries import Entries, normal_form
-from phfmu.declare.entry_kind import EntryKind
+from phfmu.declare.entries.entries import Entries, normal_form
+from phfmu.declare.entries.entry_kind import EntryKind
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.variable import Value, Variable
 

@@ -15,7 +15,7 @@ from math import isclose, pi, sqrt
 
 import casadi as ca
 
-from phfmu.declare.units import BASE, UnitError, parse_unit, unit_text
+from phfmu.declare.expressions.units import BASE, UnitError, parse_unit, unit_text
 
 #: factors of units that differ by less are the same
 CLOSE = 1e-9

@@ -9,9 +9,9 @@ from typing import Any
 
 import casadi as ca
 
-from phfmu.declare.coefficients import stacked
 from phfmu.declare.energy import ClosedPair
-from phfmu.declare.entry_kind import EntryKind
+from phfmu.declare.entries.coefficients import stacked
+from phfmu.declare.entries.entry_kind import EntryKind
 from phfmu.declare.error import Problem
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import Port

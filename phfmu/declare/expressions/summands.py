@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 
 from phfmu.declare.energy import Energy, EnergyKind, resolve_kind
-from phfmu.declare.operations import Instruction, degree_of, function_of, instructions, operation
+from phfmu.declare.expressions.operations import Instruction, degree_of, function_of, instructions, operation
 
 
 def as_strain(term: Energy, states: AbstractSet[int]) -> Energy:
