@@ -151,7 +151,7 @@ PARTS = ("events", "modes", "interpret", "reverse")
 STEPS = ("events", "modes", "interpret")
 #: whose folders `runtime` have what drives steps: the judge of ledgers, steps that keep a tolerance, sweeps, the master of
 #: coupled members
-DRIVERS = ("audit", "runs", "sweeps", "network/couplings")
+DRIVERS = ("audit", "runs/march", "sweeps", "network/couplings")
 
 
 def runtime_sources(*parts: str) -> dict[str, Path]:

@@ -30,14 +30,14 @@ from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.outcome.limits import defined
 from phfmu.outcome.status import Status, StepFailure
 from phfmu.outcome.steps import Steps
+from phfmu.runs.march.restart import gains
 from phfmu.runs.options import Options
-from phfmu.runs.restart import gains
 from phfmu.schemes.collocated import Collocated
 from phfmu.schemes.radau import Radau
 from phfmu.terms.bare import Remedy
 
 if TYPE_CHECKING:
-    from phfmu.runs.native_march import NativeMarch
+    from phfmu.runs.march.native_march import NativeMarch
 
 Array = NDArray[np.float64]
 
@@ -116,7 +116,7 @@ class Adaptive:
 
         `pauses`: it hands over after each state event.
         """
-        from phfmu.runs.native_march import NativeMarch
+        from phfmu.runs.march.native_march import NativeMarch
 
         return NativeMarch(self, pauses) if NativeMarch.fits(self) else None
 

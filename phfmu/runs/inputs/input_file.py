@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     import pyarrow.parquet as pq
 
-    from phfmu.runs.input_rows import InputRows
+    from phfmu.runs.inputs.input_rows import InputRows
 
 Array = NDArray[Any]
 
@@ -33,7 +33,7 @@ def read_inputs(path: str, known: list[str]) -> InputRows:
 
     It is read by blocks of rows: what the memory holds of it are its numbers.
     """
-    from phfmu.runs.input_rows import InputRows, require_times
+    from phfmu.runs.inputs.input_rows import InputRows, require_times
 
     parquet = Path(path).suffix == ".parquet"
     if not Path(path).is_file():

@@ -15,7 +15,7 @@ from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.network.couplings.stepper import Follows, Stepper
 from phfmu.network.members.interpolant import Interpolant
 from phfmu.network.scene import Event
-from phfmu.runs.input_rows import InputRows, input_rows, require_interpolation
+from phfmu.runs.inputs.input_rows import InputRows, input_rows, require_interpolation
 from phfmu.runs.options import Options
 
 
@@ -63,7 +63,7 @@ def following(
 
 def _rows(inputs: Any, stepper: Stepper) -> InputRows:
     if isinstance(inputs, str | PathLike):
-        from phfmu.runs.input_file import read_inputs
+        from phfmu.runs.inputs.input_file import read_inputs
 
         return read_inputs(fspath(inputs), stepper.settable())
     return input_rows(inputs, stepper.settable())

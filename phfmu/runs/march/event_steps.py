@@ -19,16 +19,16 @@ from phfmu.outcome.limits import LIMITS, defined
 from phfmu.outcome.status import StepFailure
 from phfmu.outcome.steps import StepEvent
 from phfmu.runs.book import Book
-from phfmu.runs.march import Pace, Place, blocks_of_goals, next_goal, nowhere, pieces, step_rows
+from phfmu.runs.march.march import Pace, Place, blocks_of_goals, next_goal, nowhere, pieces, step_rows
+from phfmu.runs.march.restart import Restart
+from phfmu.runs.march.ringing import Ringing
+from phfmu.runs.march.stretches import Stretch
 from phfmu.runs.options import Options
-from phfmu.runs.restart import Restart
-from phfmu.runs.ringing import Ringing
 from phfmu.runs.rows import Row
-from phfmu.runs.stretches import Stretch
 
 if TYPE_CHECKING:
     from phfmu.network.couplings.coupled import Coupled
-    from phfmu.runs.native_march import NativeMarch
+    from phfmu.runs.march.native_march import NativeMarch
 
 Array = NDArray[Any]
 Rows = Iterator[Row]
@@ -164,7 +164,7 @@ class AdaptiveEventSteps:
     CARRIED = ("place", "pace", "_adaptive", "_march", "_damped", "_crowd")
 
     def __init__(self, stepper: Monolithic, book: Book, options: Options):
-        from phfmu.runs.adaptive import Adaptive
+        from phfmu.runs.march.adaptive import Adaptive
 
         _require_fit(options)
         #: where it is, and what is called there between two blocks

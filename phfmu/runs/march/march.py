@@ -23,16 +23,16 @@ from phfmu.network.scene import Event
 from phfmu.outcome.status import StepFailure
 from phfmu.outcome.steps import Steps
 from phfmu.runs.book import Book
+from phfmu.runs.march.restart import Restart, monolithic, not_damped, require_fit
+from phfmu.runs.march.ringing import Ringing
+from phfmu.runs.march.stretches import Stretch
 from phfmu.runs.options import Options
-from phfmu.runs.restart import Restart, monolithic, not_damped, require_fit
-from phfmu.runs.ringing import Ringing
 from phfmu.runs.rows import Row
-from phfmu.runs.stretches import Stretch
 
 if TYPE_CHECKING:
-    from phfmu.runs.adaptive import Adaptive
-    from phfmu.runs.energy_steps import EnergySteps
-    from phfmu.runs.native_march import NativeMarch
+    from phfmu.runs.march.adaptive import Adaptive
+    from phfmu.runs.march.energy_steps import EnergySteps
+    from phfmu.runs.march.native_march import NativeMarch
 
 Array = NDArray[Any]
 Rows = Iterator[Row]
@@ -319,10 +319,10 @@ class AdaptiveSteps:
 def _sized(stepper: Stepper, options: Options) -> Adaptive | EnergySteps:
     """Steps of the size that the options ask for."""
     if options.by_energy:
-        from phfmu.runs.energy_steps import EnergySteps
+        from phfmu.runs.march.energy_steps import EnergySteps
 
         return EnergySteps(stepper, options)
-    from phfmu.runs.adaptive import Adaptive
+    from phfmu.runs.march.adaptive import Adaptive
 
     whole = monolithic(stepper, "--rtol")
     if options.restart:

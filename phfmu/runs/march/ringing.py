@@ -19,14 +19,14 @@ from phfmu.discretise.within import polynomial_of
 from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.network.members.engine_member import EngineMember
 from phfmu.outcome.steps import Steps
-from phfmu.runs.restart import fitting
+from phfmu.runs.march.restart import fitting
 from phfmu.signals import of_member
 from phfmu.words import counted
 
 if TYPE_CHECKING:
     from phfmu.discretise.model import Model
     from phfmu.network.couplings.stepper import Stepper
-    from phfmu.runs.stretches import Stretch
+    from phfmu.runs.march.stretches import Stretch
 
 Array = NDArray[Any]
 

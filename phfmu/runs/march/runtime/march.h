@@ -1,4 +1,4 @@
-/* Steps that keep a tolerance, in compiled code: the twin of phfmu/runs/adaptive.py.
+/* Steps that keep a tolerance, in compiled code: the twin of phfmu/runs/march/adaptive.py.
  *
  * The Python side reads limits and field lists from here: one field a line. */
 #ifndef PH_MARCH_H

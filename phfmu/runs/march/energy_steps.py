@@ -42,7 +42,7 @@ from phfmu.network.couplings.coupling_table import COUPLINGS
 from phfmu.network.couplings.stepper import Stepper
 from phfmu.outcome.status import StepFailure
 from phfmu.outcome.steps import Steps
-from phfmu.runs.adaptive import GROW, INTEGRAL, PROPORTIONAL, SAFETY, SHRINK
+from phfmu.runs.march.adaptive import GROW, INTEGRAL, PROPORTIONAL, SAFETY, SHRINK
 from phfmu.runs.options import Options
 from phfmu.words import counted
 
