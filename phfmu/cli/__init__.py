@@ -20,10 +20,8 @@ from phfmu.interrupt import raising
 def _parser() -> Parser:
     from phfmu import __version__
     from phfmu.cli.verbs import (
-        audit,
         bench,
         check,
-        compare,
         completion,
         export,
         fit,
@@ -31,15 +29,13 @@ def _parser() -> Parser:
         list_,
         modes,
         new,
-        plot,
         replay,
-        report,
         run,
         stress,
         sweep,
         vet,
-        view,
     )
+    from phfmu.cli.verbs.results import audit, compare, plot, report, view
 
     parser = Parser(
         prog="phfmu", description="Port-Hamiltonian DAEs as co-simulation components with exact energy balance."

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from phfmu.discretise.start import Projection
     from phfmu.network.couplings.stepper import Stepper
     from phfmu.network.scene import Event, Scene
-    from phfmu.runs.input_rows import InputRows
+    from phfmu.runs.inputs.input_rows import InputRows
     from phfmu.runs.options import Options
     from phfmu.runs.result import Result
 

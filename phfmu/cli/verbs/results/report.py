@@ -27,7 +27,7 @@ def add_parser(verbs: Any) -> None:
 
 def call(args: argparse.Namespace) -> int:
     from phfmu.cli.codes import FINE, LEDGER
-    from phfmu.cli.verbs.plot import window
+    from phfmu.cli.verbs.results.plot import window
     from phfmu.report.page.page import write_report
     from phfmu.report.picture.draw import check_picture
 
