@@ -103,8 +103,8 @@ def _add_outputs(parser: argparse.ArgumentParser) -> None:
 def call(args: argparse.Namespace) -> int:
     from time import perf_counter
 
-    from phfmu.audit.report import summary_table
-    from phfmu.audit.sheet_names import ROWS
+    from phfmu.audit.tables.report import summary_table
+    from phfmu.audit.tables.sheet_names import ROWS
     from phfmu.cli import accuracy, options
     from phfmu.cli.checkpoints import Checkpoints
     from phfmu.cli.codes import FINE, LEDGER

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def add_parser(verbs: Any) -> None:
-    from phfmu.audit.sheet_names import KINDS, ROWS, UNITS
+    from phfmu.audit.tables.sheet_names import KINDS, ROWS, UNITS
 
     parser = verbs.add_parser("audit", help="table of where the energy went; exit 4 if something does not close")
     parser.add_argument("file", help="X.parquet or X.arrows; or 'recover X.arrows' after a crash", nargs="+")
@@ -44,9 +44,9 @@ def call(args: argparse.Namespace) -> int:
     from phfmu.audit import audit_table, recover, summarise
     from phfmu.audit.alarms import Alarms
     from phfmu.audit.log.window import event_rows
-    from phfmu.audit.report import audit_csv
-    from phfmu.audit.sheet_names import ROWS
-    from phfmu.audit.sheets import Scale, fitting, shares
+    from phfmu.audit.tables.report import audit_csv
+    from phfmu.audit.tables.sheet_names import ROWS
+    from phfmu.audit.tables.sheets import Scale, fitting, shares
     from phfmu.cli.codes import FINE, LEDGER
     from phfmu.runs.options import ledger_tolerance
 

@@ -12,8 +12,8 @@ from typing import Any
 
 from phfmu.audit.events import EventRow
 from phfmu.audit.kinds import CellKind, LedgerVerdict, Quality, RowKind
-from phfmu.audit.sheet_names import UNITS
 from phfmu.audit.summary import LedgerSummary
+from phfmu.audit.tables.sheet_names import UNITS
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any, TypedDict
 from phfmu.audit.alarms import Alarms, alarms
 from phfmu.audit.events import EventRow
 from phfmu.audit.kinds import CellKind, LedgerVerdict, RowKind
-from phfmu.audit.sheets import JOULE, Column, Scale, Sheet, all_sheets, sheets
 from phfmu.audit.summary import LedgerSummary
+from phfmu.audit.tables.sheets import JOULE, Column, Scale, Sheet, all_sheets, sheets
 from phfmu.html import ROWS, grid, paragraph
 from phfmu.words import counted, shown
 
