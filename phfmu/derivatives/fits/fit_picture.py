@@ -1,6 +1,6 @@
 """A picture of a fit: measurements, the run that was found, and what is left."""
 
-from phfmu.derivatives.fit import Fit
+from phfmu.derivatives.fits.fit import Fit
 from phfmu.report.picture.picture import Picture, panel
 from phfmu.report.recording import Signal
 

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from phfmu.derivatives.between import Between
 from phfmu.derivatives.by import require_known
-from phfmu.derivatives.fit_journal import Journal, Kept, digest
+from phfmu.derivatives.fits.fit_journal import Journal, Kept, digest
 from phfmu.derivatives.gradient import forward_of
 from phfmu.derivatives.measured import TIME
 from phfmu.discretise.model import Model
