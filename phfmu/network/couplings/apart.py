@@ -216,7 +216,7 @@ class FileOffer:
     """The offer of a unit by its manifest. Its matrix is not known before it runs: all of its impulses may be coupled."""
 
     def __init__(self, name: str, file: UnitFile):
-        from phfmu.fmu.importer.node_exchange import impulse_ports
+        from phfmu.fmu.importer.ports.node_exchange import impulse_ports
 
         self.name, self.nu = name, 0
         self.ports = {p.port: p for p in impulse_ports(file.port_maps)}

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from phfmu.engine.node_sensitivity import NodeSensitivity
 from phfmu.fmu.export.manifest import PortMap
 from phfmu.fmu.export.variables import FMUError
-from phfmu.fmu.importer.port_values import PortValues
+from phfmu.fmu.importer.ports.port_values import PortValues
 from phfmu.fmu.importer.slave import AnySlave
 from phfmu.fmu.importer.unit_interface import Scalar
 from phfmu.fmu.importer.values import Derivative, References

@@ -11,7 +11,7 @@ import re
 from phfmu.declare.port import DOMAINS, Domain
 from phfmu.fmu.export.manifest import PortMap
 from phfmu.fmu.export.variables import FMUError
-from phfmu.fmu.importer.port_tables import domain_of, entries_of, port_maps, unit_of
+from phfmu.fmu.importer.ports.port_tables import domain_of, entries_of, port_maps, unit_of
 from phfmu.fmu.importer.unit_interface import UnitInterface
 from phfmu.fmu.words import plain
 from phfmu.fmu.xml import Element, parse
