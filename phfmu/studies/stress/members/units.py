@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from phfmu.studies.stress.case import Case, Outcome, refused
-from phfmu.studies.stress.couplings import left, oscillator, run
+from phfmu.studies.stress.members.couplings import left, oscillator, run
 
 #: what the unit of liar.c does
 HONEST, FORGETS, NOT_A_NUMBER, CHANCE, CHANCE_LATE, DRIFTS, DERIVATIVES = range(7)
@@ -140,7 +140,7 @@ def elsewhere(h: float, version: str, growth: float) -> Outcome:
     from phfmu.fmu.export.export import export
     from phfmu.fmu.importer.reader import FMUInstance
     from phfmu.network.couplings.jacobi import Jacobi
-    from phfmu.studies.stress.couplings import coupled
+    from phfmu.studies.stress.members.couplings import coupled
 
     net, stop = oscillator(), 1.0
     with ExitStack() as stack:

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from phfmu.studies.stress.case import Case, Outcome
-from phfmu.studies.stress.coupled import stiff_pair
 from phfmu.studies.stress.drive import instance
+from phfmu.studies.stress.members.coupled import stiff_pair
 
 
 def coupled(net: Any, coupling: Any = None, parts: dict[str, int] | None = None, threads: int | None = None) -> Any:
