@@ -139,9 +139,9 @@ def _add_reference(series: Series, paths: Sequence[Path], step: float, stop: flo
     """
     from phfmu.fmu.export.variables import FMUError
     from phfmu.references.writing import add_experiment
+    from phfmu.vet.claims.references import CLAIM
     from phfmu.vet.finding import FALSE, HOLDS
     from phfmu.vet.process import judged
-    from phfmu.vet.references import CLAIM
     from phfmu.vet.subject import Subject
 
     notes = list[str]()

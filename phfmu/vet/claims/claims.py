@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from phfmu.vet import calls, derivatives, determinism, energy, footprint, references, rollback, stepping, values
-from phfmu.vet.description import description
+from phfmu.vet.claims import calls, derivatives, determinism, energy, footprint, references, rollback, stepping, values
+from phfmu.vet.claims.description import description
 from phfmu.vet.finding import Claim
 from phfmu.words import meant
 
