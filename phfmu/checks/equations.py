@@ -22,7 +22,7 @@ from phfmu.engine.reference.python import PythonInstance
 from phfmu.outcome.status import Status, StepFailure, remedy
 from phfmu.schemes.scheme import Scheme
 from phfmu.terms.canonical import components
-from phfmu.terms.extract import extract
+from phfmu.terms.extraction.extract import extract
 from phfmu.terms.hidden import Hidden, Level
 from phfmu.terms.rows import costate_symbols, flow_expressions
 from phfmu.terms.term import CONSTRAINT

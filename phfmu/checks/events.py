@@ -28,7 +28,7 @@ from phfmu.declare.event import LAWS, Jump, StateEvent
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.switch import Switch
 from phfmu.declare.variable import Variable, VariableKind, _sx, key, time
-from phfmu.terms.extract import extract
+from phfmu.terms.extraction.extract import extract
 from phfmu.terms.held import rates
 from phfmu.terms.rows import costate_symbols, flow_expressions
 

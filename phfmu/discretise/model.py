@@ -32,7 +32,7 @@ from phfmu.plan.plan import Kernel, Plan
 from phfmu.schemes.collocated import Collocated
 from phfmu.schemes.scheme import Scheme
 from phfmu.schemes.two_level import TwoLevel
-from phfmu.terms.extract import extract
+from phfmu.terms.extraction.extract import extract
 from phfmu.terms.hidden import Check
 from phfmu.terms.rank import at_start, hold_names
 from phfmu.terms.term import Terms

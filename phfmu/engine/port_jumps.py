@@ -20,7 +20,7 @@ from phfmu.engine.impulses import port_kernels
 from phfmu.events.impulse import Columns
 from phfmu.events.jump_columns import jump_columns
 from phfmu.terms.canonical import components
-from phfmu.terms.extract import extract
+from phfmu.terms.extraction.extract import extract
 from phfmu.terms.port_impulses import Impulse, masses
 
 Array = NDArray[np.float64]

@@ -29,7 +29,7 @@ from phfmu.plan import address
 from phfmu.plan.address import Address
 from phfmu.schemes import constraints
 from phfmu.schemes.velocities import velocity_costate
-from phfmu.terms.extract import extract
+from phfmu.terms.extraction.extract import extract
 from phfmu.terms.term import CONSTRAINT
 from tests.gradients.polynomials import EPS, POLYNOMIAL, N, P, X, coefficients, increments, points, unit
 

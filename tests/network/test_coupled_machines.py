@@ -46,7 +46,7 @@ from phfmu.network.members.node_values import InstanceNodes, node_values
 from phfmu.outcome.status import Status
 from phfmu.signals import CONSTRAINT
 from phfmu.terms.bare import bare_nodes
-from phfmu.terms.extract import extract
+from phfmu.terms.extraction.extract import extract
 from tests.network.test_coupled_units import states_differ
 from tests.schemes.bare_scenes import RATED, STOP, lumped, mean_voltage, saturable
 from tests.wide import slow

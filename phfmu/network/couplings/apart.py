@@ -22,7 +22,7 @@ from phfmu.network.interface.relations import bent
 from phfmu.network.members.node_values import DeclaredOffer
 from phfmu.network.network import Network
 from phfmu.network.wires import Wire
-from phfmu.terms.extract import extract
+from phfmu.terms.extraction.extract import extract
 from phfmu.terms.port_impulses import Impulse
 
 if TYPE_CHECKING:

@@ -94,7 +94,7 @@ def _inside(network: Network, apart: Collection[str], bare: Apart) -> set[str]:
 def _loses(whole: PHDAE) -> bool:
     """Whether steps project states at nodes inside, which is booked for one model that is the whole run."""
     from phfmu.terms.bare import Remedy, bare_nodes
-    from phfmu.terms.extract import extract
+    from phfmu.terms.extraction.extract import extract
 
     return any(n.remedy is Remedy.PROJECTION for n in bare_nodes(extract(whole)))
 

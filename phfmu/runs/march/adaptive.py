@@ -262,7 +262,7 @@ def _require_held(model: Model) -> None:
 def _free_nodes(model: Model) -> list[str]:
     """Bare nodes without impulses."""
     from phfmu.terms.bare import bare_nodes
-    from phfmu.terms.extract import extract
+    from phfmu.terms.extraction.extract import extract
 
     held = model.scheme.impulses
     return [n.name for n in bare_nodes(extract(model.declaration)) if not held or n.remedy is Remedy.NONE]

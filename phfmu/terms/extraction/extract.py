@@ -11,9 +11,9 @@ from phfmu.declare.error import DeclarationError
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.variable import Value, time
 from phfmu.terms.canonical import Locator, make_term
-from phfmu.terms.extract_energy import energies
-from phfmu.terms.extract_flows import blocks, ports
-from phfmu.terms.extract_masses import closed_pairs, masses
+from phfmu.terms.extraction.extract_energy import energies
+from phfmu.terms.extraction.extract_flows import blocks, ports
+from phfmu.terms.extraction.extract_masses import closed_pairs, masses
 from phfmu.terms.hidden import hidden_rows
 from phfmu.terms.located import Row, RowAt
 from phfmu.terms.term import CONSTRAINT, OBSERVABLE, Pair, Terms
