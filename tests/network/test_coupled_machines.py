@@ -38,7 +38,7 @@ from phfmu.components.electrical.rl_line import rl_line
 from phfmu.components.scenes.electrical.smib import smib
 from phfmu.components.scenes.electrical.two_machine import two_machine
 from phfmu.fmu.importer.reader import FMUInstance
-from phfmu.network.couplings.apart import Apart
+from phfmu.network.couplings.choice.apart import Apart
 from phfmu.network.interface.exchange import Exchange
 from phfmu.network.members.consistent import InconsistentState
 from phfmu.network.members.fmu_member import FMUMember

@@ -29,8 +29,8 @@ SOME = 3
 
 def print_many(network: Network) -> None:
     """Members by kind, junctions by what they join, the number of variables."""
-    from phfmu.network.couplings.apart import Apart
-    from phfmu.network.couplings.gathered import composed_words, gathered, junction_words
+    from phfmu.network.couplings.choice.apart import Apart
+    from phfmu.network.couplings.choice.gathered import composed_words, gathered, junction_words
 
     kinds = _kinds(network)
     print(f"members: {len(network.members)} of {counted(len(kinds), 'kind')}")
@@ -133,7 +133,7 @@ def call(args: argparse.Namespace) -> int:
         print(f"members: {', '.join(d.members)}")
     words = {}
     if isinstance(s.system, Network):
-        from phfmu.network.couplings.apart import Apart
+        from phfmu.network.couplings.choice.apart import Apart
 
         apart = Apart(s.system)
         print(f"order: {apart.order()}")
@@ -182,8 +182,8 @@ def _arguments(target: str) -> list[str]:
 def _print_apart(s: Scene, network: Network, arguments: list[str]) -> None:
     """A network with units, which is no one model."""
     from phfmu.fmu.importer.inspect import limit_lines, port_lines
-    from phfmu.network.couplings.apart import Apart
-    from phfmu.network.couplings.gathered import composed_words, gathered, junction_words
+    from phfmu.network.couplings.choice.apart import Apart
+    from phfmu.network.couplings.choice.gathered import composed_words, gathered, junction_words
     from phfmu.network.wires import without_unit
 
     _print_run(s, s.name, s.description or network.description, arguments)

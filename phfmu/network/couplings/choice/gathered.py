@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from phfmu.declare.phdae import PHDAE
 from phfmu.network.compose import compose
-from phfmu.network.couplings.apart import Apart
+from phfmu.network.couplings.choice.apart import Apart
 from phfmu.network.junction import End, Junction
 from phfmu.network.network import Network
 from phfmu.network.wires import Wire, in_order
