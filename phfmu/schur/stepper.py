@@ -23,8 +23,8 @@ from phfmu.plan.differences import Sampled
 from phfmu.plan.layout import Layout
 from phfmu.plan.plan import Floats, Ints, Plan
 from phfmu.plan.unknown import ALGEBRAIC, COSTATE, INCREMENT
-from phfmu.schemes import inertia
-from phfmu.schemes.constraints import VELOCITY_LEVEL
+from phfmu.schemes.constraints import inertia
+from phfmu.schemes.constraints.constraints import VELOCITY_LEVEL
 from phfmu.schemes.scheme import Scheme
 from phfmu.schur import lanes
 from phfmu.schur.elimination import Elimination, Pattern, eliminate, factor_pattern, updates

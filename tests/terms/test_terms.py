@@ -12,7 +12,7 @@ import phfmu
 from phfmu.components.library import build
 from phfmu.declare.variable import Value
 from phfmu.schemes.collocated import Collocated
-from phfmu.schemes.impulses import Impulses
+from phfmu.schemes.constraints.impulses import Impulses
 from phfmu.schemes.two_level import TwoLevel
 from phfmu.terms.extraction.extract import extract
 from phfmu.terms.hidden import Hidden

@@ -31,7 +31,7 @@ from phfmu.plan.address import (
 from phfmu.plan.layout import Layout
 from phfmu.plan.spec import Arguments, Result, Spec, substituted
 from phfmu.plan.unknown import Role
-from phfmu.schemes.velocities import (
+from phfmu.schemes.constraints.velocities import (
     force,
     velocity_costate,
     velocity_costate_row,
