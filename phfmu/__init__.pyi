@@ -49,9 +49,9 @@ from phfmu.declare.variable import algebraic as algebraic
 from phfmu.declare.variable import parameter as parameter
 from phfmu.declare.variable import state as state
 from phfmu.declare.variable import time as time
-from phfmu.derivatives.fit import Experiment as Experiment
-from phfmu.derivatives.fit import Fit as Fit
-from phfmu.derivatives.fit import fit as fit
+from phfmu.derivatives.fits.fit import Experiment as Experiment
+from phfmu.derivatives.fits.fit import Fit as Fit
+from phfmu.derivatives.fits.fit import fit as fit
 from phfmu.derivatives.gradient import Gradient as Gradient
 from phfmu.derivatives.gradient import gradient as gradient
 from phfmu.derivatives.modes import Eigenmode as Eigenmode
@@ -112,4 +112,4 @@ from phfmu.terms.rank import constraint_rank as constraint_rank
 from phfmu.words import meant as meant
 
 __version__: str
-__all__: tuple[str, ...]
+__all__: list[str]

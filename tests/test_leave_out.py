@@ -55,12 +55,45 @@ print("written", *written)
 print("loaded", *[m for m in ("fmpy", "lxml", "pyarrow", "matplotlib", "rich") if m in sys.modules])
 """
 
+#: rooms of the package that a run of one composed model with an audit on the terminal and a result table has no use for
+UNUSED = (
+    "audit.analysis", "audit.contradictions", "audit.log", "checks.check", "derivatives", "doors", "importers", "fmu.export",
+    "fmu.importer", "network.as_unit", "network.couplings.coupled", "network.couplings.landing", "network.interface", "operating",
+    "references", "report", "ssp.loading", "studies", "sweeps.runs", "vet",
+    "components.control", "components.grids", "components.mechanical", "components.scenes.drive",
+    "components.scenes.electrical.wscc9", "components.scenes.mechanical", "components.electrical.machines.induction_machine",
+)  # fmt: skip
+MODULES = """
+import sys
+from phfmu.cli import main
+assert main(["run", "smib", "--stop", "0.001", "--quiet", "-o", sys.argv[1]]) == 0
+print(*sorted(sys.modules))
+"""
+
 
 @pytest.mark.parametrize("more", [[], ["--coupling", "newton"]], ids=["composed", "apart"])
 @pytest.mark.parametrize("engine", wide(["native", "python"], "native"))
 def test_a_run_without_audit_and_units_writes_no_file_and_loads_no_reader_of_either(engine, more):
     lines = python(RUN.replace("ENGINE", repr(engine)).replace("MORE", repr(more)), "-B").splitlines()
     assert lines[-2:] == ["written", "loaded"]
+
+
+def test_a_plain_run_loads_neither_rooms_nor_libraries_that_it_does_not_use(tmp_path):
+    """Importing them takes longer than all else that the first row waits for; pandas would come with pyarrow's conversions."""
+    done = subprocess.run(
+        [sys.executable, "-c", MODULES, str(tmp_path / "rows.csv")], capture_output=True, text=True, check=True
+    )
+    loaded = done.stdout.split()
+    unused = tuple(f"phfmu.{room}" for room in UNUSED)
+    assert [m for m in loaded if m in unused or m.startswith(tuple(f"{u}." for u in unused))] == []
+    assert [m for m in ("fmpy", "lxml", "matplotlib", "pandas", "scipy") if m in loaded] == []
+    assert len([m for m in loaded if m.partition(".")[0] == "phfmu"]) <= 310
+
+
+def test_every_room_that_a_plain_run_leaves_out_is_there():
+    from importlib.util import find_spec
+
+    assert [room for room in UNUSED if find_spec(f"phfmu.{room}") is None] == []
 
 
 def test_an_ode_has_no_multipliers_and_no_instant_system():

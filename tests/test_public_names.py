@@ -30,7 +30,7 @@ def test_the_stub_is_the_list() -> None:
     imports = [n for n in ast.parse(STUB).body if isinstance(n, ast.ImportFrom)]
     assert all(len(n.names) == 1 and n.names[0].asname == n.names[0].name for n in imports)  # re-exported, one a line
     listed = {n.names[0].name: n.module for n in imports}
-    assert tuple(listed) == phfmu.__all__ and len(imports) == len(listed)
+    assert sorted(listed) == phfmu.__all__ and len(imports) == len(listed)
     for name, module in listed.items():
         assert getattr(phfmu, name) is getattr(import_module(str(module)), name)
 

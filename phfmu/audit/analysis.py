@@ -17,9 +17,9 @@ from phfmu.audit.kinds import Quality, RowKind
 from phfmu.audit.ledger import Ledger
 from phfmu.audit.log.reading import Batches, Interned, LogRows
 from phfmu.audit.log.window import Window, judged_by
-from phfmu.audit.report import Shown, summary_table
 from phfmu.audit.summary import LedgerSummary
 from phfmu.audit.summing.sums import Floats
+from phfmu.audit.tables.report import Shown, summary_table
 from phfmu.audit.violation import Violation
 from phfmu.outcome.steps import Steps
 

@@ -84,7 +84,7 @@ class Ledger:
 
     def _repr_html_(self) -> str:
         """For notebooks: the tables that `phfmu run` prints."""
-        from phfmu.audit.report import audit_html
+        from phfmu.audit.tables.report import audit_html
 
         return audit_html(self.summary())
 

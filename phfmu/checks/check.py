@@ -20,10 +20,10 @@ from phfmu.checks.matrices import costates, finite, masses, passivity, skew_symm
 from phfmu.checks.names import names, nominals, ranges, shared_symbols, units
 from phfmu.checks.pieces import continuous, kinks
 from phfmu.checks.sample import Sample
-from phfmu.declare.entries import Entries, normal_form
+from phfmu.declare.entries.entries import Entries, normal_form
+from phfmu.declare.entries.starts import starts
 from phfmu.declare.error import DeclarationError, Problem
 from phfmu.declare.phdae import PHDAE, require_declaration
-from phfmu.declare.starts import starts
 from phfmu.events.modes import Modes
 
 if TYPE_CHECKING:

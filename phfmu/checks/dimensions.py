@@ -14,10 +14,21 @@ from dataclasses import dataclass, field
 import casadi as ca
 
 from phfmu.checks.sample import Sample
-from phfmu.declare.dimension import JOULE, NONE, SECOND, WATT, Dimension, Known, Number, Walk, counted_numbers, of_unit
-from phfmu.declare.entries import Entries, Entry
-from phfmu.declare.entry_kind import EntryKind
+from phfmu.declare.entries.entries import Entries, Entry
+from phfmu.declare.entries.entry_kind import EntryKind
 from phfmu.declare.error import Problem
+from phfmu.declare.expressions.dimension import (
+    JOULE,
+    NONE,
+    SECOND,
+    WATT,
+    Dimension,
+    Known,
+    Number,
+    Walk,
+    counted_numbers,
+    of_unit,
+)
 from phfmu.declare.port import Port
 from phfmu.declare.variable import Variable, time
 

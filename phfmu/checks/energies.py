@@ -13,10 +13,10 @@ from scipy.sparse.csgraph import connected_components
 
 from phfmu.checks.sample import Sample
 from phfmu.declare.energy import EnergyKind
-from phfmu.declare.entries import Entries, Entry, Pair
-from phfmu.declare.entry_kind import EntryKind
+from phfmu.declare.entries.entries import Entries, Entry, Pair
+from phfmu.declare.entries.entry_kind import EntryKind
 from phfmu.declare.error import Problem
-from phfmu.declare.operations import piecewise
+from phfmu.declare.expressions.operations import piecewise
 from phfmu.declare.variable import Value
 
 RELATIVE = 1e-8

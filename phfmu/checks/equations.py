@@ -11,8 +11,8 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
-from phfmu.declare.entries import Entries, key
-from phfmu.declare.entry_kind import EntryKind
+from phfmu.declare.entries.entries import Entries, key
+from phfmu.declare.entries.entry_kind import EntryKind
 from phfmu.declare.error import DeclarationError, Problem
 from phfmu.declare.junction_words import junction_words
 from phfmu.declare.phdae import PHDAE
@@ -22,7 +22,7 @@ from phfmu.engine.reference.python import PythonInstance
 from phfmu.outcome.status import Status, StepFailure, remedy
 from phfmu.schemes.scheme import Scheme
 from phfmu.terms.canonical import components
-from phfmu.terms.extract import extract
+from phfmu.terms.extraction.extract import extract
 from phfmu.terms.hidden import Hidden, Level
 from phfmu.terms.rows import costate_symbols, flow_expressions
 from phfmu.terms.term import CONSTRAINT

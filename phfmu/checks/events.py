@@ -21,14 +21,14 @@ import casadi as ca
 import numpy as np
 
 from phfmu.checks.sample import Sample
-from phfmu.declare.entries import Entries, Entry
-from phfmu.declare.entry_kind import EntryKind
+from phfmu.declare.entries.entries import Entries, Entry
+from phfmu.declare.entries.entry_kind import EntryKind
 from phfmu.declare.error import Problem
 from phfmu.declare.event import LAWS, Jump, StateEvent
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.switch import Switch
 from phfmu.declare.variable import Variable, VariableKind, _sx, key, time
-from phfmu.terms.extract import extract
+from phfmu.terms.extraction.extract import extract
 from phfmu.terms.held import rates
 from phfmu.terms.rows import costate_symbols, flow_expressions
 

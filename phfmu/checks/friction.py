@@ -6,8 +6,8 @@ import casadi as ca
 import numpy as np
 
 from phfmu.checks.sample import Sample
-from phfmu.declare.entries import Entries, Entry
-from phfmu.declare.entry_kind import EntryKind
+from phfmu.declare.entries.entries import Entries, Entry
+from phfmu.declare.entries.entry_kind import EntryKind
 from phfmu.declare.error import Problem
 from phfmu.declare.variable import key
 

@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.checks.sample import Sample, places
-from phfmu.declare.entries import Entries, Entry, normal_form
-from phfmu.declare.entry_kind import EntryKind
+from phfmu.declare.entries.entries import Entries, Entry, normal_form
+from phfmu.declare.entries.entry_kind import EntryKind
 from phfmu.declare.error import Problem
 from phfmu.declare.phdae import PHDAE
-from phfmu.declare.regular import undetermined
+from phfmu.declare.transform.regular import undetermined
 from phfmu.declare.variable import Value, key
 
 RELATIVE = 1e-9  # of the numbers compared

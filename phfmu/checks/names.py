@@ -11,14 +11,14 @@ from collections.abc import Iterator
 import numpy as np
 
 from phfmu.checks.sample import Sample
-from phfmu.declare.entries import Entries
+from phfmu.declare.entries.entries import Entries
+from phfmu.declare.entries.model_name import model_name
+from phfmu.declare.entries.parameter_limits import declared_limits, limits_of
+from phfmu.declare.entries.starts import variables
 from phfmu.declare.error import Problem
-from phfmu.declare.model_name import model_name
-from phfmu.declare.parameter_limits import declared_limits, limits_of
+from phfmu.declare.expressions.units import UnitError, is_power, parse_unit
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import Port
-from phfmu.declare.starts import variables
-from phfmu.declare.units import UnitError, is_power, parse_unit
 
 #: a structured name of FMI: identifiers joined by dots
 _NAME = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*", re.ASCII)

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.checks.sample import Sample, Setting
-from phfmu.declare.entries import Entries
-from phfmu.declare.entry_kind import EntryKind
+from phfmu.declare.entries.entries import Entries
+from phfmu.declare.entries.entry_kind import EntryKind
 from phfmu.declare.error import Problem
-from phfmu.declare.operations import analytic, piecewise, switches
+from phfmu.declare.expressions.operations import analytic, piecewise, switches
 from phfmu.declare.variable import Value
 
 POINTS = 129  # of a line on which pieces are looked for

@@ -17,12 +17,12 @@ from phfmu.checks.matrices import finite, masses, passivity, skew_symmetry, symm
 from phfmu.checks.names import ranges, units
 from phfmu.checks.pieces import continuous
 from phfmu.checks.sample import Sample, Setting
-from phfmu.declare.alike import first_alike
-from phfmu.declare.entries import Entries, Entry, normal_form
-from phfmu.declare.entry_kind import EntryKind
+from phfmu.declare.entries.alike import first_alike
+from phfmu.declare.entries.entries import Entries, Entry, normal_form
+from phfmu.declare.entries.entry_kind import EntryKind
+from phfmu.declare.entries.starts import starts
 from phfmu.declare.error import Problem
 from phfmu.declare.phdae import PHDAE
-from phfmu.declare.starts import starts
 
 
 class Change(Protocol):

@@ -9,11 +9,11 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.declare.entries import Entries, Entry
-from phfmu.declare.entry_kind import EntryKind
+from phfmu.declare.entries.entries import Entries, Entry
+from phfmu.declare.entries.entry_kind import EntryKind
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import Port
-from phfmu.declare.regular import undetermined
+from phfmu.declare.transform.regular import undetermined
 from phfmu.declare.variable import HasSymbols, Variable, key, time
 
 Array = NDArray[np.float64]

@@ -10,67 +10,61 @@ import io
 import os
 import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from importlib import import_module
 
 from phfmu.cli.codes import FINE, NO_CONVERGENCE, USAGE
 from phfmu.cli.parser import Parser, parsed
 from phfmu.interrupt import raising
 
+#: verbs in the order of `phfmu --help`, and their modules
+VERBS = {
+    "list": "list_",
+    "new": "new",
+    "info": "info",
+    "check": "check",
+    "run": "run",
+    "sweep": "sweep",
+    "plot": "results.plot",
+    "view": "results.view",
+    "report": "results.report",
+    "compare": "results.compare",
+    "fit": "fit",
+    "modes": "modes",
+    "export": "export",
+    "audit": "results.audit",
+    "replay": "replay",
+    "vet": "vet",
+    "bench": "bench",
+    "stress": "stress",
+    "completion": "completion",
+}
 
-def _parser() -> Parser:
+
+def _parser(asked: Iterable[str] = VERBS) -> Parser:
+    """The parser of the verbs that are asked for; what other verbs need is not loaded."""
     from phfmu import __version__
-    from phfmu.cli.verbs import (
-        audit,
-        bench,
-        check,
-        compare,
-        completion,
-        export,
-        fit,
-        info,
-        list_,
-        modes,
-        new,
-        plot,
-        replay,
-        report,
-        run,
-        stress,
-        sweep,
-        vet,
-        view,
-    )
 
     parser = Parser(
         prog="phfmu", description="Port-Hamiltonian DAEs as co-simulation components with exact energy balance."
     )
     parser.add_argument("--version", action="version", version=f"phfmu {__version__}")
     verbs = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
-    for module in (
-        list_,
-        new,
-        info,
-        check,
-        run,
-        sweep,
-        plot,
-        view,
-        report,
-        compare,
-        fit,
-        modes,
-        export,
-        audit,
-        replay,
-        vet,
-        bench,
-        stress,
-        completion,
-    ):
-        module.add_parser(verbs)
-    completion.complete(parser, verbs)
+    for name in asked:
+        import_module(f"phfmu.cli.verbs.{VERBS[name]}").add_parser(verbs)
     parser.verbs = verbs.choices
     return parser
+
+
+def _asked(words: Sequence[str]) -> Parser:
+    """The parser for a command line: of its verb, or of all where it begins with none; a shell may ask what completes it."""
+    if "_ARGCOMPLETE" in os.environ:
+        from phfmu.cli.verbs.completion import complete
+
+        parser = _parser()
+        complete(parser)
+        return parser
+    return _parser(words[:1] if words and words[0] in VERBS else VERBS)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -78,7 +72,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # names and descriptions that the terminal has no letters for
             stream.reconfigure(errors="backslashreplace")
-    parser, words = _parser(), sys.argv[1:] if arguments is None else list(arguments)
+    words = sys.argv[1:] if arguments is None else list(arguments)
+    parser = _asked(words)
     if not words:
         parser.print_help(sys.stderr)
         print("\nphfmu: required: VERB; start with `phfmu list`", file=sys.stderr)

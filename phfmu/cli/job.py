@@ -32,8 +32,8 @@ from phfmu.target import is_fmu
 if TYPE_CHECKING:
     from phfmu.declare.phdae import PHDAE
     from phfmu.fmu.importer.unit_file import UnitFile
-    from phfmu.network.couplings.apart import Apart
-    from phfmu.network.couplings.named import Named
+    from phfmu.network.couplings.choice.apart import Apart
+    from phfmu.network.couplings.choice.named import Named
     from phfmu.network.couplings.signals.held_signals import SignalExchange
     from phfmu.network.couplings.stepper import Stepper
     from phfmu.network.members.member import Member
@@ -203,7 +203,7 @@ class _Members:
     @cached_property
     def whole(self) -> Apart:
         """The exchange of members; those that handle events in themselves land alone."""
-        from phfmu.network.couplings.apart import Apart
+        from phfmu.network.couplings.choice.apart import Apart
 
         engine, parts = self.stepping.engine_of, self.stepping.parts_of
         inside = [n for n, s in self.schemes.items() if engine(n) == "fmu" or parts(n) > 1 or not s.node_values]
@@ -260,9 +260,9 @@ class _Members:
 def apart(
     args: argparse.Namespace, s: Scene, declared: Network, name: str, why: list[str], tried: Mapping[str, Rollback]
 ) -> Job:
-    from phfmu.network.couplings.apart import circling_units, held_wires
-    from phfmu.network.couplings.gathered import composed_words
-    from phfmu.network.couplings.named import named_coupling
+    from phfmu.network.couplings.choice.apart import circling_units, held_wires
+    from phfmu.network.couplings.choice.gathered import composed_words
+    from phfmu.network.couplings.choice.named import named_coupling
 
     sequence = args.sequence and [name.strip() for name in args.sequence.split(",")]
     network = _gathered(args, declared)
@@ -309,7 +309,7 @@ def _kept(members: _Members, exchange: SignalExchange | None) -> tuple[float, li
 
 def _gathered(args: argparse.Namespace, network: Network) -> Network:
     """Beside units, declared members that meet are one composed member, but those that are asked for apart."""
-    from phfmu.network.couplings.gathered import gathered
+    from phfmu.network.couplings.choice.gathered import gathered
 
     if args.sequence or args.engine == "fmu":
         return network
@@ -325,7 +325,7 @@ def _without_unit(s: Scene, network: Network) -> str:
 
 def _number(network: Network) -> str:
     """How many members are composed to one, for the head line."""
-    from phfmu.network.couplings.gathered import composed_members
+    from phfmu.network.couplings.choice.gathered import composed_members
 
     n = len(composed_members(network))
     return f" ({n} members composed)" if n else ""
@@ -481,7 +481,7 @@ def _tried(args: argparse.Namespace, s: Scene) -> dict[str, Rollback]:
     """Whether units can take steps back, where the coupling may ask it of them."""
     if not s.units:
         return {}
-    from phfmu.network.couplings.named import repeats
+    from phfmu.network.couplings.choice.named import repeats
 
     if not repeats(args.coupling):
         return {}
@@ -492,7 +492,7 @@ def _tried(args: argparse.Namespace, s: Scene) -> dict[str, Rollback]:
 
 def _coupling(args: argparse.Namespace, s: Scene, stuck: Mapping[str, str]) -> tuple[CouplingRow, list[str]]:
     """The coupling asked for, or the one that fits and the line that says why; one model without a word if nobody asked."""
-    from phfmu.network.couplings.auto import choose
+    from phfmu.network.couplings.choice.auto import choose
     from phfmu.network.network import Network
 
     if args.coupling not in (None, AUTO.name):

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from phfmu.network.scene import Event, Scene
-    from phfmu.runs.input_rows import InputRows
+    from phfmu.runs.inputs.input_rows import InputRows
 
 
 def timeline(
@@ -26,7 +26,7 @@ def timeline(
     given = _covered(set_here, known)
     if not args.input:
         return events, None, notes
-    from phfmu.runs.input_file import read_inputs
+    from phfmu.runs.inputs.input_file import read_inputs
 
     rows = read_inputs(args.input, known)
     twice = sorted(given & set(rows.names))

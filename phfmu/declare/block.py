@@ -9,7 +9,7 @@ from typing import Any
 
 import casadi as ca
 
-from phfmu.declare.coefficients import coefficient
+from phfmu.declare.entries.coefficients import coefficient
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.port import Port
 from phfmu.declare.variable import Variable, _sx

@@ -10,7 +10,7 @@ from typing import Any
 
 import casadi as ca
 
-from phfmu.declare.operations import degree
+from phfmu.declare.expressions.operations import degree
 from phfmu.declare.variable import Variable, _sx
 
 

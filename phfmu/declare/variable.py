@@ -304,7 +304,7 @@ def parameter(
 
     `value`: one number, or one for each entry;  `size`, `elements`: as for `state`.
     `min`, `max`: limits, allowed themselves;  `positive`: above 0.  Without `min` it is derived where the declaration
-    proves it (a resistance, a mass: see `phfmu.declare.parameter_limits`); `min=-inf` says that there is none.
+    proves it (a resistance, a mass: see `phfmu.declare.entries.parameter_limits`); `min=-inf` says that there is none.
     """
     made = make_variable(VariableKind.PARAMETER, name, size, unit, value, 1.0, description, elements)
     limits = {what: _values(name, what, v, made.n) for what, v in (("min", min), ("max", max)) if v is not None}

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.declare.parameter_limits import Limit, limits
+from phfmu.declare.entries.parameter_limits import Limit, limits
 from phfmu.declare.phdae import PHDAE
 from phfmu.discretise.model import Model
 from phfmu.signals import of_member

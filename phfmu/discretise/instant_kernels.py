@@ -14,7 +14,7 @@ from phfmu.plan.address import READ, Address, costate, costate_row, gradient, in
 from phfmu.plan.layout import Layout
 from phfmu.plan.spec import Arguments, Result, Spec
 from phfmu.plan.unknown import Role
-from phfmu.schemes.velocities import force, velocity_costate, velocity_increment
+from phfmu.schemes.constraints.velocities import force, velocity_costate, velocity_increment
 from phfmu.terms.hidden import Hidden, rates
 from phfmu.terms.located import Row
 from phfmu.terms.term import CLOSED, CONSTRAINT, EMPTY, ENERGY, FLOW, JOINT, MASS, MASS_BLOCK, OBSERVABLE, SOURCE, Term

@@ -15,10 +15,10 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.declare.alike import first_alike
+from phfmu.declare.entries.alike import first_alike
+from phfmu.declare.entries.starts import starts
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.phdae import PHDAE, require_declaration
-from phfmu.declare.starts import starts
 from phfmu.declare.variable import Variable, _sx
 from phfmu.discretise.instant import instant_plan
 from phfmu.discretise.onestep import step_plan
@@ -32,7 +32,7 @@ from phfmu.plan.plan import Kernel, Plan
 from phfmu.schemes.collocated import Collocated
 from phfmu.schemes.scheme import Scheme
 from phfmu.schemes.two_level import TwoLevel
-from phfmu.terms.extract import extract
+from phfmu.terms.extraction.extract import extract
 from phfmu.terms.hidden import Check
 from phfmu.terms.rank import at_start, hold_names
 from phfmu.terms.term import Terms

@@ -28,8 +28,8 @@ from scipy.sparse.csgraph import connected_components
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.variable import time
 from phfmu.discretise.model import CONSISTENCY, Model
-from phfmu.terms.extract import extract
-from phfmu.terms.extract_energy import component_energies
+from phfmu.terms.extraction.extract import extract
+from phfmu.terms.extraction.extract_energy import component_energies
 from phfmu.terms.hidden import Level
 from phfmu.terms.rank import TOLERANCE
 from phfmu.terms.reach import moved_by_impulses

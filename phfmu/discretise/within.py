@@ -7,7 +7,7 @@ from weakref import WeakKeyDictionary
 from phfmu.discretise.model import Model
 from phfmu.discretise.onestep import step_layout
 from phfmu.events.polynomial import Polynomial
-from phfmu.terms.extract import extract
+from phfmu.terms.extraction.extract import extract
 
 #: polynomials of models without state events, as long as these are in use
 _FOUND: WeakKeyDictionary[Model, Polynomial] = WeakKeyDictionary()

@@ -17,7 +17,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from phfmu.declare.alike import first_alike
+from phfmu.declare.entries.alike import first_alike
 from phfmu.declare.phdae import PHDAE
 from phfmu.engine.reference.state import State
 from phfmu.gradients.quadrature import gauss

@@ -14,13 +14,13 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.declare.alike import first_alike
+from phfmu.declare.entries.alike import first_alike
 from phfmu.declare.phdae import PHDAE
 from phfmu.engine.impulses import port_kernels
 from phfmu.events.impulse import Columns
 from phfmu.events.jump_columns import jump_columns
 from phfmu.terms.canonical import components
-from phfmu.terms.extract import extract
+from phfmu.terms.extraction.extract import extract
 from phfmu.terms.port_impulses import Impulse, masses
 
 Array = NDArray[np.float64]

@@ -20,13 +20,13 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from phfmu.declare.coefficients import coefficient
+from phfmu.declare.entries.coefficients import coefficient
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.event import Jump, StateEvent
 from phfmu.declare.variable import VariableKind, _sx
 from phfmu.terms.bare import depends
 from phfmu.terms.canonical import Locator, components
-from phfmu.terms.extract_energy import component_energies
+from phfmu.terms.extraction.extract_energy import component_energies
 from phfmu.terms.held import Held, held, massless, rates, typical_mass
 from phfmu.terms.term import CLOSED, MASS_BLOCK, Terms
 

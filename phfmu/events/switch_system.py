@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.variable import _sx, time
-from phfmu.terms.extract import extract
-from phfmu.terms.extract_energy import component_energies
+from phfmu.terms.extraction.extract import extract
+from phfmu.terms.extraction.extract_energy import component_energies
 from phfmu.terms.port_impulses import masses
 from phfmu.terms.rows import costates, flow_expressions
 from phfmu.terms.term import CLOSED, CONSTRAINT, MASS_BLOCK

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import casadi as ca
 
-from phfmu.declare.operations import degree
+from phfmu.declare.expressions.operations import degree
 from phfmu.gradients.gradients import SMALLEST, Gradient, at, guarded, significant
 from phfmu.gradients.quadrature import gauss
 from phfmu.gradients.secants import secants

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from phfmu.declare.energy import Energy, EnergyKind, energy, resolve_kind
-from phfmu.declare.summands import summands
+from phfmu.declare.expressions.summands import summands
 from phfmu.declare.variable import Variable
 from phfmu.gradients import coordinate, gradients
 from phfmu.gradients.gradient_names import GRADIENTS

@@ -18,10 +18,10 @@ from dataclasses import dataclass, replace
 
 import casadi as ca
 
-from phfmu.declare.coefficients import square, stacked
 from phfmu.declare.energy import ClosedPair
+from phfmu.declare.entries.coefficients import square, stacked
+from phfmu.declare.entries.matrices import matrices
 from phfmu.declare.error import DeclarationError
-from phfmu.declare.matrices import matrices
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.transform.change import Change
 from phfmu.declare.transform.inverse import inverted

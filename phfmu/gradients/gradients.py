@@ -14,7 +14,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from phfmu.declare.operations import degree
+from phfmu.declare.expressions.operations import degree
 from phfmu.gradients.quadrature import Nodes, gauss
 from phfmu.gradients.secants import secants
 

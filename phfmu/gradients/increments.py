@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import casadi as ca
 
-from phfmu.declare.operations import operation
+from phfmu.declare.expressions.operations import operation
 from phfmu.gradients.quadrature import gauss
 
 #: below this change of its argument a function without a rule is the integral of its derivative by 4 Gauss points

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 
 import casadi as ca
 
-from phfmu.declare.operations import TESTS, degree, function_of, instructions, operation, piecewise
+from phfmu.declare.expressions.operations import TESTS, degree, function_of, instructions, operation, piecewise
 from phfmu.gradients.increments import change, quotient
 
 

@@ -14,9 +14,9 @@ from operator import is_
 from os import PathLike
 from typing import TYPE_CHECKING, Any
 
+from phfmu.declare.expressions.units import parse_unit
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import Port
-from phfmu.declare.units import parse_unit
 from phfmu.html import grid
 from phfmu.network.compose import compose
 from phfmu.network.junction import KIND, SHARED, ConnectionError, End, Junction, Kind
@@ -63,7 +63,7 @@ class Network:
         """Add a member; its variables get the prefix `name.`.
 
         A member may be the path of an FMU; `ports` says which of its variables are conjugate pairs, see
-        `phfmu.fmu.importer.port_tables`, where neither it nor a file beside it does.
+        `phfmu.fmu.importer.ports.port_tables`, where neither it nor a file beside it does.
         Errors: ConnectionError if the name or object is taken; FMUError for a unit that cannot be read, or other ports than its.
         """
         if name in self.members:

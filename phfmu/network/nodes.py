@@ -15,7 +15,7 @@ WORDS = {
 def node_kinds(declaration: PHDAE) -> dict[str, str]:
     """Junction -> index 1, or index 2 and what the steps do about it."""
     from phfmu.terms.bare import bare_nodes
-    from phfmu.terms.extract import extract
+    from phfmu.terms.extraction.extract import extract
     from phfmu.terms.hidden import Hidden
 
     terms = extract(declaration)

@@ -29,7 +29,7 @@ class Event:
 class Scene:
     """The run of `phfmu run NAME`: stop time and step in seconds, events of the first kind; the grid lands on them.
 
-    `restart`: damping steps after each event, see `phfmu.runs.restart`.  `notes`: what of the file that the scene was
+    `restart`: damping steps after each event, see `phfmu.runs.march.restart`.  `notes`: what of the file that the scene was
     read from is not in it, a line each.  `kept`: what that file says besides, for who writes it again.  `shown`: names or
     patterns of the signals that a picture of its run has where none are named.  `description`: that of the system if empty.
     `steady`: the operating point (`phfmu.operating.NetworkPoint`) that the system starts in, if `phfmu run` is to move it to

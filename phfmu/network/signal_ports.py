@@ -19,7 +19,7 @@ from typing import Any
 import casadi as ca
 
 from phfmu.declare.block import skew
-from phfmu.declare.coefficients import coefficient
+from phfmu.declare.entries.coefficients import coefficient
 from phfmu.declare.event import StateEvent
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import SIGNAL, Given, Port

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING
 
 import casadi as ca
 
-from phfmu.declare.coefficients import coefficient
+from phfmu.declare.entries.coefficients import coefficient
+from phfmu.declare.expressions.units import Unit, UnitError, parse_unit
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import Port
 from phfmu.declare.signal import read_by, signal_inputs
-from phfmu.declare.units import Unit, UnitError, parse_unit
 from phfmu.declare.variable import _sx
 from phfmu.network.junction import ConnectionError, Junction
 from phfmu.signals import of_member

@@ -25,7 +25,7 @@ from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import ELECTRICAL, Port
 from phfmu.declare.variable import time
 from phfmu.signals import ordered_ports
-from phfmu.terms.extract import extract
+from phfmu.terms.extraction.extract import extract
 from phfmu.terms.rows import costate_symbols, costates, flow_expressions, output_expressions
 from phfmu.terms.term import CONSTRAINT
 

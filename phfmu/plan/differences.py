@@ -12,7 +12,7 @@ from itertools import pairwise
 import casadi as ca
 import numpy as np
 
-from phfmu.declare.operations import ANALYTIC
+from phfmu.declare.expressions.operations import ANALYTIC
 from phfmu.plan.buffered import Buffered
 from phfmu.plan.spec import Spec
 

@@ -15,6 +15,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from phfmu.matching import columns_of_rows, maximum_matching
+from phfmu.plan.factor_entries import permuted_entries
+
 Ints = NDArray[np.int32]
 #: pivots without fill come first if they are this part of all at least, and if entries of L + U fall to this part at least
 LEAST, GAIN = 0.1, 0.95
@@ -38,15 +41,9 @@ class _Pattern:
 
     def fill(self, order: Ints, pivot: Ints) -> int:
         """Entries of L + U with these pivots, all of them numerically good; without end if some are missing."""
-        from scipy.sparse import csc_matrix, diags
-        from scipy.sparse.linalg import splu
-
         if not np.array_equal(np.sort(pivot), np.arange(self.n)):
             return sys.maxsize
-        values = np.random.default_rng(0).uniform(0.5, 1.5, len(self.row))
-        a = csc_matrix((values, (self.row, self.col)), shape=(self.n, self.n))[pivot, :][:, order]
-        trial = splu(csc_matrix(a + diags(np.full(self.n, 4.0 * self.n))), permc_spec="NATURAL", diag_pivot_thresh=0.0)
-        return int(trial.L.nnz + trial.U.nnz)
+        return permuted_entries(self.row, self.col, order, pivot).total
 
 
 def elimination_order(
@@ -123,17 +120,14 @@ class _Doubletons:
 
 def _minimum_degree(pattern: _Pattern, row: NDArray[np.int32], col: NDArray[np.int32]) -> tuple[Ints, Ints]:
     """Minimum degree, with columns without a diagonal joined to a neighbour; (row, col): all entries, also those of size 0."""
-    from scipy.sparse import csr_matrix
-    from scipy.sparse.csgraph import maximum_bipartite_matching
-
     n = pattern.n
-    matrix = csr_matrix((np.ones(len(pattern.row), np.int8), (pattern.row, pattern.col)), shape=(n, n))
-    has_diagonal = matrix.diagonal() != 0
+    has_diagonal = np.zeros(n, bool)
+    has_diagonal[pattern.row[pattern.row == pattern.col]] = True
 
     @cache
     def full() -> NDArray[np.int_]:
         """Row -> column of a matching of most rows, -1 for the others; it may take long, and few patterns need it."""
-        return maximum_bipartite_matching(matrix, perm_type="column")
+        return np.array(maximum_matching(columns_of_rows(pattern.row, pattern.col, n, n), n))
 
     if ca.sprank(ca.Sparsity.triplet(n, n, pattern.row.tolist(), pattern.col.tolist())) < n:
         rows, cols = np.flatnonzero(full() < 0), np.setdiff1d(np.arange(n), full())
@@ -143,10 +137,14 @@ def _minimum_degree(pattern: _Pattern, row: NDArray[np.int32], col: NDArray[np.i
     zero = np.flatnonzero(~has_diagonal)
     partner = np.full(n, -1)
     if zero.size:
-        columns = matrix.tocsc()[:, zero]
-        match = maximum_bipartite_matching(columns.tocsr(), perm_type="row")
-        for c, r in zip(zero, match, strict=True):
-            partner[c] = r if r >= 0 else int(np.flatnonzero(full() == c)[0])
+        own = ~has_diagonal[pattern.col]
+        place = np.cumsum(~has_diagonal) - 1
+        columns = columns_of_rows(pattern.row[own], place[pattern.col[own]], n, len(zero))
+        for r, c in enumerate(maximum_matching(columns, len(zero))):
+            if c >= 0:
+                partner[zero[c]] = r
+        for c in zero[partner[zero] < 0]:
+            partner[c] = int(np.flatnonzero(full() == c)[0])
     node = np.arange(n)
     for c in zero:
         r = partner[c]

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Any
+
+from numpy.typing import NDArray
 
 from phfmu.signals import MARKS
 
@@ -33,3 +35,18 @@ def schema(
     none = [""] * len(names)
     own = [field(*told) for told in zip(names, units, kinds or none, labels or none, strict=True)]
     return pa.schema([field("time", "s", "", ""), *marks, *own])
+
+
+def columns(time: NDArray[Any], marks: Iterable[NDArray[Any]], values: NDArray[Any]) -> list[pa.Array]:
+    """`time` (n), the columns of marks (n each), and the signals of `values` (n x names) as Arrow has them.
+
+    Made of their memory: `pyarrow.array` would import pandas, where that is installed, to ask whether an array is one of its.
+    """
+    import numpy as np
+    import pyarrow as pa
+
+    def column(of: NDArray[Any], type_: pa.DataType, dtype: type) -> pa.Array:
+        return pa.Array.from_buffers(type_, len(of), [None, pa.py_buffer(np.ascontiguousarray(of, dtype))])
+
+    own = [column(c, pa.float64(), np.float64) for c in np.ascontiguousarray(values.T)]
+    return [column(time, pa.float64(), np.float64), *(column(m, pa.int8(), np.int8) for m in marks), *own]

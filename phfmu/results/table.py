@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.results.schema import schema
+from phfmu.results.schema import columns, schema
 from phfmu.results.writer import TableWriter, check_table
 
 if TYPE_CHECKING:
@@ -46,8 +46,8 @@ class Table:
         """A pyarrow table: `time`, then the signals; units, kinds and labels in the metadata of the fields."""
         import pyarrow as pa
 
-        columns = [pa.array(c) for c in (self.time, *np.ascontiguousarray(self.values.T))]
-        return pa.table(columns, schema=schema(self.names, self.units, kinds=self.kinds, labels=self.labels))
+        found = columns(self.time, [], self.values)
+        return pa.table(found, schema=schema(self.names, self.units, kinds=self.kinds, labels=self.labels))
 
     def to_pandas(self) -> Any:
         """A pandas frame with `time` as index; `frame.attrs["units"]`: name -> unit."""

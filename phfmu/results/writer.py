@@ -10,12 +10,11 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.files import beside, remains, require_writable
 from phfmu.results.columns_file import write_columns
-from phfmu.results.schema import UNIT_KEY, schema
+from phfmu.results.schema import UNIT_KEY, columns, schema
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -75,10 +74,9 @@ class TableWriter:
             self._partial = beside(self._target)
             kinds = self._schema()
             self._format = _Stream(self._partial, kinds, self._table) if self._marks else self._table(self._partial)
-        marks = [inside.astype(np.int8)] if self._marked else []
-        columns = [pa.array(c) for c in (time, *marks, *np.ascontiguousarray(values.T))]
+        found = columns(time, [inside] if self._marked else [], values)
         with self._cut_on_failure():
-            self._format.add(pa.record_batch(columns, schema=self._schema()))
+            self._format.add(pa.record_batch(found, schema=self._schema()))
         self.rows += len(time)
         self.last = float(time[-1])
 

@@ -18,14 +18,14 @@ from phfmu.network.scene import Event, Scene
 from phfmu.outcome.status import EndRequested, StepFailure
 from phfmu.runs.book import Book
 from phfmu.runs.checkpoints import Carriers, require_continued
-from phfmu.runs.event_steps import AdaptiveEventSteps, EventSteps
-from phfmu.runs.following import following
-from phfmu.runs.march import AdaptiveSteps, FixedSteps, step_rows
+from phfmu.runs.inputs.following import following
+from phfmu.runs.march.event_steps import AdaptiveEventSteps, EventSteps
+from phfmu.runs.march.march import AdaptiveSteps, FixedSteps, step_rows
+from phfmu.runs.march.restart import monolithic
+from phfmu.runs.march.stretches import stretches
 from phfmu.runs.options import Options
-from phfmu.runs.restart import monolithic
 from phfmu.runs.result import Result
 from phfmu.runs.rows import Rows, RunColumns
-from phfmu.runs.stretches import stretches
 from phfmu.words import counted
 
 if TYPE_CHECKING:

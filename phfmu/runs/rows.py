@@ -16,8 +16,8 @@ from phfmu.network.couplings.stepper import Follows, Stepper
 from phfmu.network.members.inputs import held_rows, places
 from phfmu.pick import pick
 from phfmu.results.kinds import kinds_by_name
+from phfmu.runs.march.stretches import CLOSE, Stretch
 from phfmu.runs.options import Options
-from phfmu.runs.stretches import CLOSE, Stretch
 
 Array = NDArray[Any]
 #: (times, values, whether each row lies within a step)

@@ -19,7 +19,7 @@ from phfmu.plan.plan import Holds
 from phfmu.plan.planner import Maps
 from phfmu.plan.spec import Spec
 from phfmu.plan.unknown import Unknown
-from phfmu.schemes import impulses, inertia
+from phfmu.schemes.constraints import impulses, inertia
 from phfmu.schemes.nodal import NodeKernels
 from phfmu.schemes.scheme import GaussScheme, node_holds, node_maps, node_unknowns
 from phfmu.terms.bare import IMPULSE

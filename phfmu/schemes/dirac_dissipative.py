@@ -22,7 +22,7 @@ import numpy as np
 
 from phfmu.declare.energy import EnergyKind
 from phfmu.declare.error import DeclarationError
-from phfmu.declare.operations import degree
+from phfmu.declare.expressions.operations import degree
 from phfmu.declare.variable import Value
 from phfmu.gradients import gradients
 from phfmu.gradients.discrete import Summand, node_gradients

@@ -33,8 +33,8 @@ from phfmu.plan.spec import Arguments, Result, Spec, substituted
 from phfmu.plan.unknown import ALGEBRAIC, COSTATE, INCREMENT, Role, Unknown, of_algebraics, of_states
 from phfmu.schemes import closure
 from phfmu.schemes.closure import carried
+from phfmu.schemes.constraints.velocities import force, velocity_costate, velocity_increment
 from phfmu.schemes.scheme import Triplet
-from phfmu.schemes.velocities import force, velocity_costate, velocity_increment
 from phfmu.terms.located import Row
 from phfmu.terms.term import CLOSED, EMPTY, Term, TermKind, Terms
 

@@ -18,7 +18,7 @@ from phfmu.gradients.discrete import Summand, node_gradients
 from phfmu.gradients.quadrature import Nodes
 from phfmu.plan.address import READ, Address, costate_row, gradient, increment, row, source, step_size
 from phfmu.plan.spec import Arguments, Result, Spec, substituted
-from phfmu.schemes import constraints
+from phfmu.schemes.constraints import constraints
 from phfmu.terms.located import Row
 from phfmu.terms.term import CLOSED, CONSTRAINT, EMPTY, ENERGY, FLOW, JOINT, MASS, MASS_BLOCK, SOURCE, EnergyForm, Term
 

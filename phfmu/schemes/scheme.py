@@ -13,7 +13,7 @@ from phfmu.plan.plan import Holds
 from phfmu.plan.planner import Maps
 from phfmu.plan.spec import Spec
 from phfmu.plan.unknown import ALGEBRAIC, COSTATE, INCREMENT, Role, Unknown, of_algebraics, of_states
-from phfmu.schemes.inertia import vanishing
+from phfmu.schemes.constraints.inertia import vanishing
 from phfmu.terms.condense import Condensed
 from phfmu.terms.located import Row
 from phfmu.terms.rank import ConstraintsAtStart

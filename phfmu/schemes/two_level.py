@@ -14,9 +14,9 @@ from phfmu.plan.layout import Layout
 from phfmu.plan.plan import Holds
 from phfmu.plan.spec import Spec
 from phfmu.plan.unknown import Unknown, of_algebraics
-from phfmu.schemes import constraints, impulses, inertia
 from phfmu.schemes.collocated import Collocated, require_gradient, require_pairs
-from phfmu.schemes.constraints import VELOCITY_LEVEL
+from phfmu.schemes.constraints import constraints, impulses, inertia
+from phfmu.schemes.constraints.constraints import VELOCITY_LEVEL
 from phfmu.schemes.scheme import node_holds, node_unknowns
 from phfmu.terms.condense import condensed
 from phfmu.terms.term import CONSTRAINT, MASS, Term, Terms

@@ -13,7 +13,7 @@ from functools import cache
 import casadi as ca
 import numpy as np
 
-from phfmu.declare.operations import ANALYTIC, degree
+from phfmu.declare.expressions.operations import ANALYTIC, degree
 from phfmu.declare.variable import Value
 from phfmu.gradients.gradients import stress
 from phfmu.gradients.quadrature import nodes

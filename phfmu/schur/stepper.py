@@ -16,15 +16,15 @@ import casadi as ca
 import numpy as np
 
 from phfmu.declare.energy import EnergyKind
-from phfmu.declare.operations import degree, piecewise
+from phfmu.declare.expressions.operations import degree, piecewise
 from phfmu.declare.variable import Value
 from phfmu.gradients.quadrature import nodes
 from phfmu.plan.differences import Sampled
 from phfmu.plan.layout import Layout
 from phfmu.plan.plan import Floats, Ints, Plan
 from phfmu.plan.unknown import ALGEBRAIC, COSTATE, INCREMENT
-from phfmu.schemes import inertia
-from phfmu.schemes.constraints import VELOCITY_LEVEL
+from phfmu.schemes.constraints import inertia
+from phfmu.schemes.constraints.constraints import VELOCITY_LEVEL
 from phfmu.schemes.scheme import Scheme
 from phfmu.schur import lanes
 from phfmu.schur.elimination import Elimination, Pattern, eliminate, factor_pattern, updates

@@ -12,7 +12,7 @@ from urllib.parse import unquote, urlsplit
 
 from phfmu.fmu import limits
 from phfmu.fmu.importer import archive
-from phfmu.fmu.importer.port_tables import ENDING
+from phfmu.fmu.importer.ports.port_tables import ENDING
 from phfmu.fmu.words import plain
 from phfmu.ssp.names import STRUCTURE
 from phfmu.ssp.structure import SSPError

@@ -34,7 +34,10 @@ class Linear:
 
 @dataclass(frozen=True)
 class Unit:
-    """SI value = factor * value + offset, in the product of the base units to `exponents` (BASE of `phfmu.declare.units`)."""
+    """SI value = factor * value + offset, in the product of the base units to `exponents`.
+
+    The base units are BASE of `phfmu.declare.expressions.units`.
+    """
 
     name: str
     factor: float

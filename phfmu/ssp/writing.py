@@ -3,7 +3,7 @@
 Ports that fit plainly are connected variable by variable, with the factor -1 where flows meet that both count inward, so that any
 importer joins them; our annotation names all junctions, also those of several ports, which connections cannot say.
 
-The file beside a unit that tells its ports, written: what `phfmu.fmu.importer.port_tables` reads.
+The file beside a unit that tells its ports, written: what `phfmu.fmu.importer.ports.port_tables` reads.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from dataclasses import asdict, dataclass
 from math import copysign, isclose
 from pathlib import Path
 
+from phfmu.declare.expressions.units import UnitError, parse_unit, unit_text
 from phfmu.declare.port import Given, conjugate
-from phfmu.declare.units import UnitError, parse_unit, unit_text
 from phfmu.fmu.export.description import generation_date, generation_tool
 from phfmu.fmu.export.manifest import PortMap
 from phfmu.fmu.export.package import write
-from phfmu.fmu.importer.port_tables import ENDING
+from phfmu.fmu.importer.ports.port_tables import ENDING
 from phfmu.fmu.importer.unit_file import UnitFile
 from phfmu.fmu.importer.unit_interface import Scalar
 from phfmu.fmu.words import plain

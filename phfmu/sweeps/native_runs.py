@@ -29,8 +29,8 @@ from phfmu.network.members.inputs import with_bare
 from phfmu.network.scene import Event
 from phfmu.outcome.status import StepFailure
 from phfmu.runs.loop import segments
-from phfmu.runs.march import pieces
-from phfmu.runs.stretches import stretches
+from phfmu.runs.march.march import pieces
+from phfmu.runs.march.stretches import stretches
 from phfmu.sweeps import lanes as side_by_side
 from phfmu.sweeps.lanes import LANES, Lanes, Solver, lanes_of, why_not
 from phfmu.sweeps.outcome import Outcome, Stopped

@@ -14,6 +14,7 @@ from enum import StrEnum
 import casadi as ca
 
 from phfmu.declare.variable import Value
+from phfmu.matching import maximum_matching
 from phfmu.terms.located import Row, RowAt, ValueAt
 from phfmu.terms.term import FLOW, Term, Terms
 
@@ -71,10 +72,6 @@ def contained(term: Term, j: int, bound: dict[int, int]) -> dict[ValueAt, int]:
 
 def hidden_rows(terms: Terms) -> Hidden:
     """The over-determined algebraic rows of a model; `extract` has done this for its terms."""
-    import numpy as np
-    from scipy.sparse import csr_matrix
-    from scipy.sparse.csgraph import maximum_bipartite_matching
-
     if not terms.na:
         return Hidden()
     columns: list[set[int]] = [set() for _ in range(terms.na)]
@@ -90,18 +87,15 @@ def hidden_rows(terms: Terms) -> Hidden:
                 if row.kind is Row.EQUATION:
                     found = (variable_at(ValueAt(at.kind, t.index[at.kind][at.index]), bound) for at in places)
                     columns[row.index] |= {v for v in found if v is not None}
-    rows = np.repeat(np.arange(terms.na), [len(c) for c in columns])
-    cols = np.array([c for found in columns for c in sorted(found)], int)
-    pattern = csr_matrix((np.ones(len(rows), np.int8), (rows, cols)), shape=(terms.na, terms.na))
-    match = maximum_bipartite_matching(pattern, perm_type="column")
-    row_of = {int(c): r for r, c in enumerate(match) if c >= 0}
+    match = maximum_matching([sorted(found) for found in columns], terms.na)
+    row_of = {c: r for r, c in enumerate(match) if c >= 0}
     reached, queue = set(), [r for r in range(terms.na) if match[r] < 0]
     while queue:
         r = queue.pop()
         if r not in reached:
             reached.add(r)
             queue += [row_of[c] for c in columns[r] if c in row_of]
-    return Hidden(frozenset(reached), {r: int(match[r]) for r in reached if match[r] >= 0})
+    return Hidden(frozenset(reached), {r: match[r] for r in reached if match[r] >= 0})
 
 
 def _pattern(t: Term, bound: dict[int, int], known: dict) -> list[list[ValueAt]]:

@@ -22,7 +22,7 @@ from phfmu.declare.phdae import PHDAE
 from phfmu.declare.variable import Value, time
 from phfmu.terms.bare import depends
 from phfmu.terms.canonical import components
-from phfmu.terms.extract import extract
+from phfmu.terms.extraction.extract import extract
 from phfmu.terms.hidden import Hidden
 from phfmu.terms.rows import costate_symbols, costates, output_expressions, row_expressions
 from phfmu.terms.term import CLOSED, CONSTRAINT, ENERGY, JOINT, MASS, MASS_BLOCK, Term, Terms, by_kind, gathered

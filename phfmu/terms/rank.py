@@ -85,7 +85,7 @@ class ConstraintRank:
 
 def constraint_rank(model: PHDAE) -> ConstraintRank:
     """The rows of Dg(q) at the start values that depend on others.  A bad declaration raises DeclarationError."""
-    from phfmu.terms.extract import extract
+    from phfmu.terms.extraction.extract import extract
 
     terms = extract(model)
     jacobian, values = constraint_jacobian(terms), constraint_values(terms)

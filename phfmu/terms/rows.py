@@ -8,7 +8,7 @@ import casadi as ca
 
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.variable import Value, time
-from phfmu.terms.extract_energy import all_divided
+from phfmu.terms.extraction.extract_energy import all_divided
 from phfmu.terms.hidden import Check, Hidden, Level
 from phfmu.terms.located import Row
 from phfmu.terms.term import CLOSED, CONSTRAINT, FLOW, MASS, Term, Terms, by_kind, gathered

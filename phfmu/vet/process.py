@@ -21,7 +21,7 @@ from phfmu.fmu.importer.archive import open_archive
 from phfmu.fmu.isolation.child import Child, Late, Lost
 from phfmu.fmu.isolation.unit_process import connected, read, write
 from phfmu.fmu.words import plain
-from phfmu.vet.claims import CLAIMS
+from phfmu.vet.claims.claims import CLAIMS
 from phfmu.vet.finding import FALSE, Claim, Finding, false, untested
 from phfmu.vet.subject import Subject
 

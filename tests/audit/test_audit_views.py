@@ -27,8 +27,8 @@ from phfmu import (
 from phfmu.audit import AuditWriter, audit_table, summarise
 from phfmu.audit.alarms import Alarms, alarms
 from phfmu.audit.log.window import Window
-from phfmu.audit.sheets import Scale, fitting, flowed, shares, sheets
 from phfmu.audit.summing import sums
+from phfmu.audit.tables.sheets import Scale, fitting, flowed, shares, sheets
 from phfmu.cli import main
 from phfmu.components.mechanical.translational import mass, spring
 

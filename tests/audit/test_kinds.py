@@ -11,9 +11,9 @@ from phfmu.audit import Booking, Ledger, PortKey, read, summarise
 from phfmu.audit.kinds import ColumnType, LedgerVerdict, Quality, RowKind
 from phfmu.audit.log.columns import COLUMNS, FIELDS
 from phfmu.audit.log.stream import AuditWriter
-from phfmu.audit.report import audit_csv
-from phfmu.audit.sheet_names import KINDS
-from phfmu.audit.sheets import all_sheets
+from phfmu.audit.tables.report import audit_csv
+from phfmu.audit.tables.sheet_names import KINDS
+from phfmu.audit.tables.sheets import all_sheets
 from phfmu.audit.violation import ViolationKind
 from phfmu.outcome.steps import Steps
 

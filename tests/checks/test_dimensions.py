@@ -28,8 +28,8 @@ from phfmu.cli import main
 from phfmu.components.electrical.machines.dc_motor import dc_motor
 from phfmu.components.library import LIBRARY, build
 from phfmu.components.mechanical.net import net
-from phfmu.declare.dimension import JOULE, Dimension, Walk, of_unit
-from phfmu.declare.units import unit_text
+from phfmu.declare.expressions.dimension import JOULE, Dimension, Walk, of_unit
+from phfmu.declare.expressions.units import unit_text
 from tests.wide import wide
 
 

@@ -21,7 +21,7 @@ from phfmu import (
 )
 from phfmu.declare.energy import Energy
 from phfmu.declare.error import DeclarationError
-from phfmu.declare.operations import ANALYTIC, degree, piecewise
+from phfmu.declare.expressions.operations import ANALYTIC, degree, piecewise
 from phfmu.gradients import gradients
 from phfmu.gradients.coordinate import itoh_abe
 from phfmu.gradients.quadrature import nodes

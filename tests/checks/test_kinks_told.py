@@ -28,7 +28,7 @@ from phfmu.checks.pieces import continuous, kinks
 from phfmu.checks.sample import Sample
 from phfmu.components.library import LIBRARY, build
 from phfmu.declare.energy import Energy
-from phfmu.declare.entries import Entries, normal_form
+from phfmu.declare.entries.entries import Entries, normal_form
 from phfmu.fmu.export.export import export
 from phfmu.fmu.importer.reader import FMUInstance
 from tests.checks.kinked import (

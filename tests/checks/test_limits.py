@@ -34,7 +34,7 @@ from phfmu.components.control import exac1, gast, hygov, ieeest, ieeex1, pss1a, 
 from phfmu.components.electrical.machines.dc_motor import dc_motor
 from phfmu.components.library import LIBRARY, build
 from phfmu.components.mechanical.net import net
-from phfmu.declare.parameter_limits import Limit, limits
+from phfmu.declare.entries.parameter_limits import Limit, limits
 from phfmu.fmu.export.description import Unit
 from phfmu.fmu.version import VERSIONS
 

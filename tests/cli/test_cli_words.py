@@ -15,7 +15,7 @@ import pytest
 
 from phfmu.components.library import LIBRARY, TABLE, build
 from phfmu.results.writer import TableWriter
-from phfmu.runs.input_file import read_inputs
+from phfmu.runs.inputs.input_file import read_inputs
 from tests.cli.commands import Cli
 from tests.wide import wide
 

@@ -115,7 +115,7 @@ def test_data_that_begin_late_or_end_early_are_told(go: Run) -> None:
 GROWTH = """
 import re, sys
 import pyarrow.parquet
-from phfmu.runs.input_file import read_inputs
+from phfmu.runs.inputs.input_file import read_inputs
 peak = lambda: 1024 * int(re.search(r"VmHWM:\\s+(\\d+)", open("/proc/self/status").read())[1])
 read_inputs(sys.argv[2], ["flange.force"])
 before = peak()

@@ -11,8 +11,8 @@ import pytest
 
 import phfmu.discretise.model as discretise
 from phfmu import Network
-from phfmu.audit.report import shortened
-from phfmu.audit.sheets import Column, Sheet
+from phfmu.audit.tables.report import shortened
+from phfmu.audit.tables.sheets import Column, Sheet
 from phfmu.cli import main
 
 STAR = """

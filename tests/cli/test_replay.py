@@ -17,7 +17,7 @@ from phfmu.engine.reference.python import PythonInstance
 from phfmu.network.couplings.coupled import Coupled
 from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.outcome.steps import Steps
-from phfmu.runs import march
+from phfmu.runs.march import march
 from tests.cli.commands import MODELS, Cli
 
 #: the place of a free mass: no energy follows from it, so no ledger tells of it

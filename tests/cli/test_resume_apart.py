@@ -25,8 +25,8 @@ from phfmu.network.couplings.jacobi import Jacobi
 from phfmu.network.couplings.newton import newton
 from phfmu.network.couplings.unit import FMUStepper
 from phfmu.network.members.unit_member import tried, unit_member
-from phfmu.runs import march
 from phfmu.runs.loop import run
+from phfmu.runs.march import march
 from phfmu.runs.result import Result
 from tests.fmu import foreign
 

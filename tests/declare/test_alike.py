@@ -23,7 +23,7 @@ from phfmu import (
 )
 from phfmu.components.library import build
 from phfmu.components.mechanical.translational import mass, spring
-from phfmu.declare.alike import first_alike, form
+from phfmu.declare.entries.alike import first_alike, form
 from phfmu.engine.native.compiled import made_of
 
 

@@ -19,7 +19,7 @@ from phfmu import (
     state,
 )
 from phfmu.declare.energy import resolve_kind
-from phfmu.declare.summands import summands
+from phfmu.declare.expressions.summands import summands
 
 N = 6
 

@@ -13,7 +13,7 @@ import phfmu as ph
 from phfmu import NativeInstance, Options, build_model, run
 from phfmu.cli import main
 from phfmu.components.library import build
-from phfmu.derivatives.fit import Experiment, fit
+from phfmu.derivatives.fits.fit import Experiment, fit
 from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.results.table import Table
 from tests.wide import wide

@@ -13,7 +13,7 @@ from phfmu import Coupled, Event, Network, Options, RunFunction, Table, fit, gra
 from phfmu.cli import main
 from phfmu.components.library import build
 from phfmu.derivatives.apart.sensitive_members import SensitiveMembers
-from phfmu.derivatives.fit import Experiment
+from phfmu.derivatives.fits.fit import Experiment
 from phfmu.network.couplings.gauss_seidel import GaussSeidel
 from phfmu.network.couplings.jacobi import Jacobi
 from phfmu.network.couplings.newton import Newton, newton

@@ -7,7 +7,7 @@ import ctypes
 import pytest
 
 from phfmu.engine.build.tables import declared, for_ctypes
-from phfmu.runs.native_march import HEADER as MARCH
+from phfmu.runs.march.native_march import HEADER as MARCH
 from phfmu.sweeps.native_runs import HEADER as RUNS
 
 

@@ -21,7 +21,7 @@ from phfmu.engine.build.compile import LONG, CompileError, compile, host_flags
 from phfmu.engine.build.kernels import Kernels
 from phfmu.engine.model import kernels
 from phfmu.engine.native.code import Compiled, source
-from phfmu.engine.native.library import PARTS, drivers, library_sources, runtime, runtime_sources
+from phfmu.engine.native.library import PARTS, STEPS, backwards, drivers, library_sources, runtime, runtime_sources
 from phfmu.fmu.export.export import export
 
 #: two sources that share a header by way of another, and one that stands alone
@@ -73,11 +73,13 @@ def made(**parameters: float) -> Compiled:
 def test_a_further_library_compiles_only_what_others_have_not(
     compiled: Callable[[], list[str]],
 ) -> None:
-    steps, sources = runtime_sources(*PARTS), library_sources()
+    steps, back, sources = runtime_sources(*STEPS), runtime_sources(*PARTS), library_sources()
     runtime()
     assert compiled() == sorted(n for n in steps if n.endswith(".c"))
+    backwards()
+    assert compiled() == ["reverse.c", "reverse_steps.c", "tape.c"]
     drivers()
-    assert compiled() == sorted(n for n in sources if n.endswith(".c") and n not in steps)
+    assert compiled() == sorted(n for n in sources if n.endswith(".c") and n not in back)
     assert not made(k=100.0).build.reused
     assert compiled() == ["kernels.c"]
     assert not made().build.reused

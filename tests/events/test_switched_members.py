@@ -34,7 +34,7 @@ from phfmu import (
 )
 from phfmu.cli import main
 from phfmu.components.control.relay import relay
-from phfmu.network.couplings.apart import Apart
+from phfmu.network.couplings.choice.apart import Apart
 from phfmu.outcome.status import Status, StepFailure
 from tests.events.scenes import BRIDGE_STOP, LA, LD, bridge
 from tests.wide import wide

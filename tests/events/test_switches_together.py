@@ -29,7 +29,7 @@ from phfmu.components.electrical.sources import voltage_source
 from phfmu.components.electrical.switches import ideal_switch
 from phfmu.components.library import build
 from phfmu.engine.switched import stepped
-from phfmu.network.couplings.apart import Apart
+from phfmu.network.couplings.choice.apart import Apart
 from phfmu.network.couplings.gauss_seidel import GaussSeidel
 from phfmu.network.couplings.newton import newton
 from phfmu.network.members.interpolant import Interpolant

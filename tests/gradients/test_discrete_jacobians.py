@@ -27,9 +27,9 @@ from phfmu.gradients.gradient_names import GRADIENTS
 from phfmu.gradients.quadrature import nodes
 from phfmu.plan import address
 from phfmu.plan.address import Address
-from phfmu.schemes import constraints
-from phfmu.schemes.velocities import velocity_costate
-from phfmu.terms.extract import extract
+from phfmu.schemes.constraints import constraints
+from phfmu.schemes.constraints.velocities import velocity_costate
+from phfmu.terms.extraction.extract import extract
 from phfmu.terms.term import CONSTRAINT
 from tests.gradients.polynomials import EPS, POLYNOMIAL, N, P, X, coefficients, increments, points, unit
 

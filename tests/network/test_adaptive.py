@@ -31,7 +31,7 @@ from phfmu import (
     state,
 )
 from phfmu.components.library import build
-from phfmu.runs.adaptive import ToleranceMissed
+from phfmu.runs.march.adaptive import ToleranceMissed
 from tests.engines import ENGINES
 from tests.wide import wide
 

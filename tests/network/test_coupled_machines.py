@@ -38,7 +38,7 @@ from phfmu.components.electrical.rl_line import rl_line
 from phfmu.components.scenes.electrical.smib import smib
 from phfmu.components.scenes.electrical.two_machine import two_machine
 from phfmu.fmu.importer.reader import FMUInstance
-from phfmu.network.couplings.apart import Apart
+from phfmu.network.couplings.choice.apart import Apart
 from phfmu.network.interface.exchange import Exchange
 from phfmu.network.members.consistent import InconsistentState
 from phfmu.network.members.fmu_member import FMUMember
@@ -46,7 +46,7 @@ from phfmu.network.members.node_values import InstanceNodes, node_values
 from phfmu.outcome.status import Status
 from phfmu.signals import CONSTRAINT
 from phfmu.terms.bare import bare_nodes
-from phfmu.terms.extract import extract
+from phfmu.terms.extraction.extract import extract
 from tests.network.test_coupled_units import states_differ
 from tests.schemes.bare_scenes import RATED, STOP, lumped, mean_voltage, saturable
 from tests.wide import slow

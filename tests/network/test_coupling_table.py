@@ -8,9 +8,9 @@ import sys
 import pytest
 
 from phfmu.cli import main
+from phfmu.network.couplings.choice.named import named_coupling, repeats
 from phfmu.network.couplings.coupling_table import COUPLINGS, CouplingRow
 from phfmu.network.couplings.jacobi import Jacobi
-from phfmu.network.couplings.named import named_coupling, repeats
 from phfmu.target import scene
 
 APART = [row for row in COUPLINGS.values() if row.apart]

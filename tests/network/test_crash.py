@@ -18,7 +18,7 @@ import pytest
 
 from phfmu.audit import AuditWriter, read, recover, summarise
 from phfmu.cli import main
-from phfmu.runs import march
+from phfmu.runs.march import march
 from tests.wide import slow, wide
 
 #: s of work at which a run is killed: in its first rows, behind LOST, and when blocks have grown
@@ -32,8 +32,8 @@ from resource import RUSAGE_CHILDREN, RUSAGE_SELF, getrusage
 for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):  # a test run under nohup hands down that it ignores some
     signal.signal(number, signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL)
 from phfmu.cli import main
-from phfmu.runs.adaptive import Adaptive
-from phfmu.runs.native_march import NativeMarch
+from phfmu.runs.march.adaptive import Adaptive
+from phfmu.runs.march.native_march import NativeMarch
 from phfmu.network.couplings.coupled import Coupled
 from phfmu.network.couplings.unit import FMUStepper
 from phfmu.network.couplings.monolithic import Monolithic

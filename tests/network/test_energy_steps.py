@@ -10,7 +10,7 @@ import pytest
 
 from phfmu.audit import read
 from phfmu.cli import main
-from phfmu.runs.adaptive import GROW
+from phfmu.runs.march.adaptive import GROW
 from phfmu.words import counted
 from tests.fmu import foreign
 from tests.network.unit_members import pump_folder

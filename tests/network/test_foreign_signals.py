@@ -14,7 +14,7 @@ from scipy.linalg import expm
 from phfmu import Coupled, FMUInstance, Network, Options, StepFailure, run
 from phfmu.cli import main
 from phfmu.fmu.importer.unit_file import unit_file
-from phfmu.network.couplings.auto import choose
+from phfmu.network.couplings.choice.auto import choose
 from phfmu.network.couplings.gauss_seidel import GaussSeidel
 from phfmu.network.couplings.jacobi import Jacobi
 from phfmu.network.couplings.newton import newton

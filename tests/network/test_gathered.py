@@ -30,7 +30,7 @@ from phfmu.components.scenes.electrical.ladder import ladder
 from phfmu.components.scenes.mechanical.oscillator import oscillator
 from phfmu.components.scenes.mechanical.speed_control import speed_control
 from phfmu.engine.switched import stepped
-from phfmu.network.couplings.gathered import composed_members, gathered
+from phfmu.network.couplings.choice.gathered import composed_members, gathered
 from phfmu.network.couplings.gauss_seidel import GaussSeidel
 from phfmu.network.couplings.jacobi import Jacobi
 from phfmu.network.couplings.newton import newton

@@ -30,7 +30,7 @@ from phfmu import (
     state,
 )
 from phfmu.audit import AuditWriter, Booking, Ledger, PartKey, PortKey, audit_table, read, summarise
-from phfmu.audit.sheets import sheets
+from phfmu.audit.tables.sheets import sheets
 from phfmu.components.scenes.electrical.smib import smib
 from phfmu.network.couplings.coupling import Unconverged
 from phfmu.network.couplings.newton import Newton, newton

@@ -14,10 +14,10 @@ import pytest
 
 from phfmu import Event, Monolithic, NativeInstance, Options, build_model, run
 from phfmu.components.mechanical.translational import mass
-from phfmu.runs import input_rows
-from phfmu.runs.input_rows import InputRows
+from phfmu.runs.inputs import input_rows
+from phfmu.runs.inputs.input_rows import InputRows
 from phfmu.runs.loop import segments
-from phfmu.runs.stretches import stretches
+from phfmu.runs.march.stretches import stretches
 from tests.wide import longer
 
 ROWS, STEP, MOST = 3_000_000, 1e-3, 300  # MB

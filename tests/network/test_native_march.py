@@ -31,8 +31,8 @@ from phfmu.components.library import build
 from phfmu.components.scenes.electrical.two_machine import two_machine
 from phfmu.discretise.model import Model
 from phfmu.engine.switched import stepped
-from phfmu.runs.adaptive import ToleranceMissed
-from phfmu.runs.native_march import NativeMarch
+from phfmu.runs.march.adaptive import ToleranceMissed
+from phfmu.runs.march.native_march import NativeMarch
 from tests.wide import wide
 
 FACTS = ("steps", "iterations", "rejected", "smallest", "largest", "restarted", "worst", "notes")

@@ -20,7 +20,7 @@ from phfmu.cli import main
 from phfmu.cli.stepping import instance_of
 from phfmu.components.library import build
 from phfmu.network.members.fmu_member import FMUMember
-from phfmu.runs.march import pieces
+from phfmu.runs.march.march import pieces
 from phfmu.schemes.collocated import Collocated
 from tests.fmu.other_hosts import READ, run_elsewhere
 from tests.fmu.test_fmu_hosts import SCRIPTS

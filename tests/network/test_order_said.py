@@ -25,7 +25,7 @@ from phfmu.components.library import build
 from phfmu.components.mechanical.contacts import impact_pair
 from phfmu.components.mechanical.translational import spring
 from phfmu.engine.switched import stepped
-from phfmu.network.couplings.apart import Apart
+from phfmu.network.couplings.choice.apart import Apart
 from phfmu.network.members.node_values import HeldNodes
 from phfmu.schemes.named import named_scheme
 from tests.wide import wide

@@ -30,7 +30,7 @@ from phfmu.components.library import LIBRARY, build
 from phfmu.declare.error import DeclarationError
 from phfmu.engine.switched import stepped
 from phfmu.network.couplings.newton import Newton
-from phfmu.runs import ringing
+from phfmu.runs.march import ringing
 from tests.engines import ENGINES
 from tests.events.stiff_fault import EVENTS, STEP, STOP, network
 from tests.wide import turning, wide

@@ -27,7 +27,7 @@ from phfmu import (
 )
 from phfmu.cli import main
 from phfmu.components.scenes.mechanical.speed_control import speed_control
-from phfmu.network.couplings.apart import Apart
+from phfmu.network.couplings.choice.apart import Apart
 from phfmu.network.junction import ConnectionError
 from phfmu.network.members.member import Member
 from tests.engines import BY_NAME

@@ -31,7 +31,7 @@ from phfmu import (
     state,
 )
 from phfmu.components.mechanical.multibody import Multibody
-from phfmu.network.couplings.apart import Apart
+from phfmu.network.couplings.choice.apart import Apart
 from phfmu.network.couplings.newton import newton
 from phfmu.schemes.two_level import TwoLevel
 from tests.wide import slow

@@ -29,7 +29,7 @@ from phfmu.cli import main
 from phfmu.components.mechanical.translational import spring
 from phfmu.fmu.importer.refusal import UnitFailure
 from phfmu.network.as_unit.export import export_network
-from phfmu.runs.march import pieces
+from phfmu.runs.march.march import pieces
 from phfmu.schemes.collocated import Collocated
 from tests.fmu import foreign
 from tests.network.test_network_unit import Importer, exported, importer, table

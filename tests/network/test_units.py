@@ -434,7 +434,7 @@ def test_predictions_that_run_away_end_the_run_with_advice(
 def test_members_that_hold_a_value_are_told_with_the_reason(tmp_path: Path) -> None:
     """A unit of this package without inputs at nodes, and ideal switches beside it."""
     from phfmu.components.scenes.electrical.rectifier import rectifier
-    from phfmu.network.couplings.apart import Apart
+    from phfmu.network.couplings.choice.apart import Apart
 
     (plain,) = export(build_model(replace(mass(1.0), name="plain")), tmp_path, ("3.0",), step=0.01)
     net = rectifier().system

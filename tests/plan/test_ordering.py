@@ -20,7 +20,7 @@ from phfmu.plan.address import Address, increment, row
 from phfmu.plan.ordering import StructurallySingular, elimination_order
 from phfmu.plan.planner import make_plan
 from phfmu.plan.spec import Arguments, Spec
-from phfmu.terms.extract import extract
+from phfmu.terms.extraction.extract import extract
 
 
 def chain(n: int) -> PHDAE:

@@ -14,7 +14,7 @@ from phfmu import PHDAE, Place, Scene, Shape, ShapeKind, Tension
 from phfmu.cli import main
 from phfmu.components.mechanical.heavy_top import heavy_top
 from phfmu.components.mechanical.multibody import Mechanism, Multibody
-from phfmu.declare.alike import first_alike
+from phfmu.declare.entries.alike import first_alike
 from phfmu.declare.shape import from_data, to_data
 from phfmu.network.network import Network
 from phfmu.report.view.poses import chosen_rows, motion

@@ -30,7 +30,7 @@ from phfmu.discretise.start import project_start
 from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.runs.loop import run
 from phfmu.terms.bare import bare_nodes
-from phfmu.terms.extract import extract
+from phfmu.terms.extraction.extract import extract
 from tests.engines import ENGINES
 from tests.schemes.bare_scenes import (
     RATED,

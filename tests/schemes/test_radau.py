@@ -29,7 +29,7 @@ from phfmu import (
 from phfmu.components.library import build
 from phfmu.gradients.quadrature import nodes, radau_nodes
 from phfmu.outcome.steps import balance
-from phfmu.runs.restart import Restart
+from phfmu.runs.march.restart import Restart
 from phfmu.schemes.named import named_scheme
 from tests.engines import ENGINES
 from tests.wide import wide

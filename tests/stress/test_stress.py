@@ -10,8 +10,9 @@ import pytest
 from phfmu import StepFailure
 from phfmu.cli import main
 from phfmu.outcome.status import remedy
-from phfmu.studies.stress import coupled, couplings, crash, events, linkage, machine, matrix, near, particles, units
+from phfmu.studies.stress import events, linkage, machine, matrix, near, particles
 from phfmu.studies.stress.case import Case, Outcome, Verdict, answer, not_supported, refused
+from phfmu.studies.stress.members import coupled, couplings, crash, units
 from phfmu.studies.stress.report import page, tally
 from phfmu.words import counted
 from tests.engines import ENGINES

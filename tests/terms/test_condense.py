@@ -31,7 +31,7 @@ from phfmu.components.scenes.electrical.smib import smib
 from phfmu.fmu.importer.reader import FMUInstance
 from phfmu.schemes.scheme import Scheme
 from phfmu.terms.condense import Condensed, condensed
-from phfmu.terms.extract import extract
+from phfmu.terms.extraction.extract import extract
 from tests.wide import wide
 
 H = 1e-4

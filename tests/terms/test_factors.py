@@ -38,10 +38,10 @@ from phfmu import (
 from phfmu.checks.sample import Sample
 from phfmu.components.mechanical.chain import chain
 from phfmu.components.mechanical.multibody import Multibody
-from phfmu.declare.entries import Entries, normal_form
+from phfmu.declare.entries.entries import Entries, normal_form
 from phfmu.declare.variable import Value
 from phfmu.discretise.accounts import by_term
-from phfmu.terms.extract import extract
+from phfmu.terms.extraction.extract import extract
 from phfmu.terms.term import FLOW
 from tests.engines import ENGINES
 

@@ -12,9 +12,9 @@ import phfmu
 from phfmu.components.library import build
 from phfmu.declare.variable import Value
 from phfmu.schemes.collocated import Collocated
-from phfmu.schemes.impulses import Impulses
+from phfmu.schemes.constraints.impulses import Impulses
 from phfmu.schemes.two_level import TwoLevel
-from phfmu.terms.extract import extract
+from phfmu.terms.extraction.extract import extract
 from phfmu.terms.hidden import Hidden
 from phfmu.terms.located import Constant, Row, RowAt, ValueAt
 from phfmu.terms.rank import ConstraintsAtStart, at_start

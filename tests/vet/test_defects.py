@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from phfmu.vet.claims import CLAIMS
+from phfmu.vet.claims.claims import CLAIMS
 from phfmu.vet.finding import FALSE, HOLDS
 from phfmu.vet.process import judged, vet
 from phfmu.vet.subject import Subject

@@ -20,9 +20,9 @@ from phfmu.fmu.export.package import write
 from phfmu.fmu.xml import etree
 from phfmu.references.experiment import Series, read_experiments, read_series, series_text
 from phfmu.references.layer import FOLDER, MANIFEST
+from phfmu.vet.claims.references import CLAIM
 from phfmu.vet.finding import FALSE, HOLDS, UNTESTED, Finding
 from phfmu.vet.process import judged
-from phfmu.vet.references import CLAIM
 from phfmu.vet.subject import Subject
 from tests.fmu.public_units import public
 from tests.vet import planted

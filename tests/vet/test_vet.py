@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from phfmu.cli import main
-from phfmu.vet.claims import CLAIMS, chosen
+from phfmu.vet.claims.claims import CLAIMS, chosen
 from phfmu.vet.finding import FALSE, HOLDS
 from phfmu.vet.process import vet
 from tests.fmu.public_units import public

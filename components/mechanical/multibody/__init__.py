@@ -1,9 +1,5 @@
 """Systems of particles, rigid bodies and joints: `Multibody` for particles, `Mechanism` for bodies and joints."""
 
-from phfmu.components.mechanical.multibody.builder import Multibody
-from phfmu.components.mechanical.multibody.contact import Compliance, Limits
-from phfmu.components.mechanical.multibody.from_file import mechanism_of_file
-from phfmu.components.mechanical.multibody.mechanism import Mechanism
-from phfmu.components.mechanical.multibody.parts import Particle, Point
+from phfmu.listed_names import list_names
 
-__all__ = ["Compliance", "Limits", "Mechanism", "Multibody", "Particle", "Point", "mechanism_of_file"]
+list_names(__name__)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import os
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from phfmu.cli.parser import Parser
 
 #: eval "$(phfmu completion bash)"
 SHELLS = ("bash", "zsh", "fish", "tcsh", "powershell")
@@ -25,13 +27,11 @@ def call(args: argparse.Namespace) -> int:
     return FINE
 
 
-def complete(parser: argparse.ArgumentParser, verbs: Any) -> None:
-    """Answer the shell and leave, if it is the shell that asks; nothing else is loaded if not."""
-    if "_ARGCOMPLETE" not in os.environ:
-        return
+def complete(parser: Parser) -> None:
+    """Answer the shell that asks, and leave."""
     from argcomplete import autocomplete
 
-    for verb in verbs.choices.values():
+    for verb in parser.verbs.values():
         for action in verb._actions:
             if action.dest == "target":
                 action.completer = targets

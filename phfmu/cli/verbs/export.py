@@ -139,9 +139,9 @@ def _add_reference(series: Series, paths: Sequence[Path], step: float, stop: flo
     """
     from phfmu.fmu.export.variables import FMUError
     from phfmu.references.writing import add_experiment
+    from phfmu.vet.claims.references import CLAIM
     from phfmu.vet.finding import FALSE, HOLDS
     from phfmu.vet.process import judged
-    from phfmu.vet.references import CLAIM
     from phfmu.vet.subject import Subject
 
     notes = list[str]()
@@ -166,8 +166,8 @@ def export_apart(args: argparse.Namespace, s: Scene) -> int:
     from phfmu.fmu.export.export import PLATFORMS
     from phfmu.fmu.version import VERSIONS
     from phfmu.network.as_unit.export import export_network, untold_of
+    from phfmu.network.couplings.choice.gathered import composed_members, gathered
     from phfmu.network.couplings.coupling_table import NEWTON
-    from phfmu.network.couplings.gathered import composed_members, gathered
     from phfmu.network.network import Network
     from phfmu.signals import of_member
     from phfmu.ssp.export import network_of

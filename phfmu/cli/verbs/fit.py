@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from phfmu.cli.one_model import MembersApart, OneModel
-    from phfmu.derivatives.fit import Experiment, Fit
+    from phfmu.derivatives.fits.fit import Experiment, Fit
 
 LOSSES = ("linear", "soft_l1", "huber", "cauchy", "arctan")
 
@@ -58,7 +58,7 @@ def call(args: argparse.Namespace) -> int:
     from phfmu.cli.one_model import members_apart, one_model
     from phfmu.cli.progress import Line
     from phfmu.cli.sensitivity import listed
-    from phfmu.derivatives.fit import fit
+    from phfmu.derivatives.fits.fit import fit
     from phfmu.interrupt import Signals
 
     if args.output and not args.output.endswith(".json"):
@@ -87,7 +87,7 @@ def call(args: argparse.Namespace) -> int:
     if args.output:
         Path(args.output).write_text(json.dumps(as_json(found), indent=2) + "\n")
     if args.plot:
-        from phfmu.derivatives.fit_picture import picture_of
+        from phfmu.derivatives.fits.fit_picture import picture_of
         from phfmu.report.picture.draw import draw
 
         draw(picture_of(found), args.plot)
@@ -127,7 +127,7 @@ def _experiments(args: argparse.Namespace, one: OneModel | MembersApart) -> list
     from phfmu.cli.sensitivity import listed
     from phfmu.cli.settings import settings
     from phfmu.cli.timeline import timeline
-    from phfmu.derivatives.fit import Experiment
+    from phfmu.derivatives.fits.fit import Experiment
     from phfmu.results.file import open_result
     from phfmu.runs.options import Options
 

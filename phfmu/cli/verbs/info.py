@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 from phfmu.words import counted
 
 if TYPE_CHECKING:
+    from phfmu.declare.entries.parameter_limits import Limit
     from phfmu.declare.event import StateEvent
-    from phfmu.declare.parameter_limits import Limit
     from phfmu.declare.phdae import PHDAE
     from phfmu.declare.variable import Variable
     from phfmu.network.network import Network
@@ -29,8 +29,8 @@ SOME = 3
 
 def print_many(network: Network) -> None:
     """Members by kind, junctions by what they join, the number of variables."""
-    from phfmu.network.couplings.apart import Apart
-    from phfmu.network.couplings.gathered import composed_words, gathered, junction_words
+    from phfmu.network.couplings.choice.apart import Apart
+    from phfmu.network.couplings.choice.gathered import composed_words, gathered, junction_words
 
     kinds = _kinds(network)
     print(f"members: {len(network.members)} of {counted(len(kinds), 'kind')}")
@@ -63,7 +63,7 @@ def print_many(network: Network) -> None:
 
 def _kinds(network: Network) -> dict[str, list[str]]:
     """Kind -> members: declarations with the same equations, FMUs of the same file."""
-    from phfmu.declare.alike import first_alike
+    from phfmu.declare.entries.alike import first_alike
 
     found: dict[object, list[str]] = {}
     for name, d in network.declared.items():
@@ -133,7 +133,7 @@ def call(args: argparse.Namespace) -> int:
         print(f"members: {', '.join(d.members)}")
     words = {}
     if isinstance(s.system, Network):
-        from phfmu.network.couplings.apart import Apart
+        from phfmu.network.couplings.choice.apart import Apart
 
         apart = Apart(s.system)
         print(f"order: {apart.order()}")
@@ -182,8 +182,8 @@ def _arguments(target: str) -> list[str]:
 def _print_apart(s: Scene, network: Network, arguments: list[str]) -> None:
     """A network with units, which is no one model."""
     from phfmu.fmu.importer.inspect import limit_lines, port_lines
-    from phfmu.network.couplings.apart import Apart
-    from phfmu.network.couplings.gathered import composed_words, gathered, junction_words
+    from phfmu.network.couplings.choice.apart import Apart
+    from phfmu.network.couplings.choice.gathered import composed_words, gathered, junction_words
     from phfmu.network.wires import without_unit
 
     _print_run(s, s.name, s.description or network.description, arguments)
@@ -212,7 +212,7 @@ def _print_apart(s: Scene, network: Network, arguments: list[str]) -> None:
 
 def _print_declaration(d: PHDAE, target: str) -> None:
     """States, parameters, ports, constraints and observables."""
-    from phfmu.declare.parameter_limits import limits
+    from phfmu.declare.entries.parameter_limits import limits
 
     limit = limits(d)
     signals = tuple(v for v in d.parameters if v.signal)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from phfmu.discretise.start import Projection
     from phfmu.network.couplings.stepper import Stepper
     from phfmu.network.scene import Event, Scene
-    from phfmu.runs.input_rows import InputRows
+    from phfmu.runs.inputs.input_rows import InputRows
     from phfmu.runs.options import Options
     from phfmu.runs.result import Result
 
@@ -103,8 +103,8 @@ def _add_outputs(parser: argparse.ArgumentParser) -> None:
 def call(args: argparse.Namespace) -> int:
     from time import perf_counter
 
-    from phfmu.audit import audit_table
-    from phfmu.audit.sheet_names import ROWS
+    from phfmu.audit.tables.report import summary_table
+    from phfmu.audit.tables.sheet_names import ROWS
     from phfmu.cli import accuracy, options
     from phfmu.cli.checkpoints import Checkpoints
     from phfmu.cli.codes import FINE, LEDGER
@@ -159,7 +159,7 @@ def call(args: argparse.Namespace) -> int:
         _print_run(args, label + job.kernels.words, result, chosen, seconds)
         _print_notes([*job.notes, *dropped, *result.notes, *outputs.notes])
         if chosen.audited:
-            print(audit_table(summary, most=ROWS), end="")
+            print(summary_table(summary, most=ROWS), end="")
     if record is not None:
         accuracy.print_accuracy(args, record, job.order, chosen)
     if summary.closed:

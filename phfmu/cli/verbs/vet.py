@@ -25,7 +25,7 @@ def add_parser(verbs: Any) -> None:
 def call(args: argparse.Namespace) -> int:
     from phfmu.cli.codes import FINE, PROBLEMS
     from phfmu.cli.progress import Line
-    from phfmu.vet.claims import chosen
+    from phfmu.vet.claims.claims import chosen
     from phfmu.vet.page import lines
     from phfmu.vet.process import vet
 

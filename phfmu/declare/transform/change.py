@@ -13,12 +13,12 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.declare.coefficients import stacked
+from phfmu.declare.entries.coefficients import stacked
 from phfmu.declare.error import DeclarationError, Problem
 from phfmu.declare.phdae import PHDAE
-from phfmu.declare.regular import undetermined
 from phfmu.declare.transform.inverse import inverted
 from phfmu.declare.transform.maps import Maps
+from phfmu.declare.transform.regular import undetermined
 from phfmu.declare.variable import Variable, VariableKind, _sx, key, slices
 
 Array = NDArray[Any]

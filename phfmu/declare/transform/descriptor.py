@@ -16,11 +16,11 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.declare.coefficients import square, stacked
+from phfmu.declare.entries.coefficients import square, stacked
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.phdae import PHDAE
-from phfmu.declare.regular import undetermined
 from phfmu.declare.transform.inverse import blocks
+from phfmu.declare.transform.regular import undetermined
 from phfmu.declare.transform.transformation import SystemTransformation
 from phfmu.declare.variable import Variable, _sx, algebraic, state
 

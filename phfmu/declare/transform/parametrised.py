@@ -22,11 +22,11 @@ import casadi as ca
 import numpy as np
 
 from phfmu.declare.block import skew
+from phfmu.declare.entries.matrices import matrices
 from phfmu.declare.error import DeclarationError, Problem
-from phfmu.declare.matrices import matrices
 from phfmu.declare.phdae import PHDAE
-from phfmu.declare.regular import undetermined
 from phfmu.declare.transform.inverse import inverted
+from phfmu.declare.transform.regular import undetermined
 from phfmu.declare.variable import Variable, VariableKind, _sx, key, slices, time
 
 

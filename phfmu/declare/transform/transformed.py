@@ -10,8 +10,8 @@ import casadi as ca
 import numpy as np
 
 from phfmu.declare.block import Block
-from phfmu.declare.coefficients import coefficient
 from phfmu.declare.energy import Energy, energy
+from phfmu.declare.entries.coefficients import coefficient
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.observable import Observable
 from phfmu.declare.phdae import PHDAE

@@ -8,8 +8,8 @@ import casadi as ca
 import numpy as np
 
 from phfmu.declare.block import Block
-from phfmu.declare.dimension import constraint_unit
 from phfmu.declare.error import DeclarationError
+from phfmu.declare.expressions.dimension import constraint_unit
 from phfmu.declare.holonomic import Holonomic
 from phfmu.declare.observable import observable
 from phfmu.declare.phdae import PHDAE

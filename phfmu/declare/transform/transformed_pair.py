@@ -11,11 +11,11 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.declare.coefficients import square, stacked
+from phfmu.declare.entries.coefficients import square, stacked
 from phfmu.declare.error import DeclarationError
-from phfmu.declare.regular import undetermined
 from phfmu.declare.transform.change import ZERO, Change, span
 from phfmu.declare.transform.inverse import blocks
+from phfmu.declare.transform.regular import undetermined
 from phfmu.declare.variable import Variable, VariableKind, key
 
 Array = NDArray[Any]

@@ -22,7 +22,7 @@ from phfmu.derivatives.apart.member_maps import Linearised, MemberMaps
 from phfmu.derivatives.apart.unit_maps import UnitMaps
 from phfmu.network.couplings.compiled.master_pattern import Exchanged
 from phfmu.network.interface.joined import Joined
-from phfmu.schemes.impulses import POINTS
+from phfmu.schemes.constraints.impulses import POINTS
 
 Array = NDArray[np.float64]
 

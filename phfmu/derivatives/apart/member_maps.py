@@ -32,7 +32,7 @@ from phfmu.derivatives.tangents import (
 )
 from phfmu.network.couplings.compiled.master_pattern import Part
 from phfmu.network.members.engine_member import EngineMember
-from phfmu.schemes.impulses import POINTS
+from phfmu.schemes.constraints.impulses import POINTS
 from phfmu.signals import Quantity, quantities
 
 Array = NDArray[np.float64]

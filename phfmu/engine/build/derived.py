@@ -10,6 +10,7 @@ import numpy as np
 
 from phfmu.events.event_plan import EventPlan
 from phfmu.events.roots import fit
+from phfmu.plan.factor_entries import permuted_entries
 from phfmu.plan.plan import Floats, Group, Ints, Kernel, Plan, Powers, Products
 from phfmu.schur.lane_groups import KINDS, LaneGroup, in_order
 from phfmu.schur.stepper import SchurStepper
@@ -42,18 +43,11 @@ def _trial(row: Ints, colptr: Ints, order: Ints, pivot_row: Ints) -> tuple[int, 
     n = len(order)
     if n <= 64:
         return n * n, n * n, 0
-    from scipy.sparse import csc_matrix, diags
-    from scipy.sparse.linalg import splu
-
-    values = np.random.default_rng(0).uniform(0.5, 1.5, len(row))
-    a = csc_matrix((values, row, colptr), shape=(n, n))[:, order]
-    if np.array_equal(np.sort(pivot_row), np.arange(n)):  # planned pivots on the diagonal
-        a = a[pivot_row, :]
-    a = a + diags(np.full(n, 4.0))
-    trial = splu(csc_matrix(a), permc_spec="NATURAL", diag_pivot_thresh=0.0)
-    entries = trial.L.nnz + trial.U.nnz
-    below, right = np.diff(trial.L.indptr) - 1, np.bincount(trial.U.indices, minlength=n) - 1
-    return int(min(4 * entries + n, n * n)), int(entries), int(below @ right)
+    planned = np.array_equal(
+        np.sort(pivot_row), np.arange(n)
+    )  # else the pivots that are missing are found in the matrix
+    trial = permuted_entries(row, np.repeat(np.arange(n), np.diff(colptr)), order, pivot_row if planned else None)
+    return min(4 * trial.total + n, n * n), trial.total, trial.multiplications
 
 
 @dataclass(frozen=True)

@@ -146,11 +146,12 @@ def load(path: Path) -> ctypes.CDLL:
     return typed(lib, signatures)
 
 
-#: folders of the runtime that not everything has
+#: folders of the runtime that not everything has, and those of them that the library has which steps all models
 PARTS = ("events", "modes", "interpret", "reverse")
+STEPS = ("events", "modes", "interpret")
 #: whose folders `runtime` have what drives steps: the judge of ledgers, steps that keep a tolerance, sweeps, the master of
 #: coupled members
-DRIVERS = ("audit", "runs", "sweeps", "network/couplings")
+DRIVERS = ("audit", "runs/march", "sweeps", "network/couplings")
 
 
 def runtime_sources(*parts: str) -> dict[str, Path]:
@@ -178,8 +179,13 @@ def headers() -> dict[str, Path]:
 
 def runtime(announce: Callable[[], None] | None = None) -> tuple[Build, ctypes.CDLL]:
     """The library that steps all models; CompilerMissing, CompileError."""
-    build = _built("steps", runtime_sources(*PARTS), announce)
+    build = _built("steps", runtime_sources(*STEPS), announce)
     return build, load(build.path)
+
+
+def backwards() -> ctypes.CDLL:
+    """The library that also goes back over steps, which a first gradient by adjoints waits for; as `drivers`."""
+    return load(_built("backwards", runtime_sources(*PARTS)).path)
 
 
 def drivers() -> ctypes.CDLL:

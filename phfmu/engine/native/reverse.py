@@ -15,7 +15,7 @@ from phfmu.engine.build.compile import CompilerMissing, compile, host_flags
 from phfmu.engine.model import Model
 from phfmu.engine.native.code import Code, Functions
 from phfmu.engine.native.compiled import Made
-from phfmu.engine.native.library import Signatures, headers, placed, typed, view
+from phfmu.engine.native.library import Signatures, backwards, headers, placed, typed, view
 from phfmu.engine.native.native import NativeInstance
 from phfmu.engine.switched import SwitchedInstance
 from phfmu.events.modes import Mode
@@ -117,7 +117,7 @@ class NativeTape:
     """The parts of steps that an instance takes in a `with` block, `room` of them."""
 
     def __init__(self, instance: NativeInstance, room: int):
-        self._instance, self._lib = instance, _typed(instance.handle.lib)
+        self._instance, self._lib = instance, _typed(backwards())
         self._rows = np.empty((room, self._lib.ph_tape_width(instance._tables.pointer)))
         self._tape = _Tape()
 
@@ -218,7 +218,7 @@ class NativeReverse:
     """
 
     def __init__(self, model: Model, made: Made, n: int, schur: bool = True):
-        self._model, self._lib = model, _typed(made.lib)
+        self._model, self._lib = model, _typed(backwards())
         self._functions = _functions(made, model)
         self._memory, status = placed(self._lib, "ph", made.tables.pointer)
         if status:

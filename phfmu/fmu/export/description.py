@@ -15,8 +15,8 @@ from typing import ClassVar
 
 import casadi as ca
 
+from phfmu.declare.expressions.units import BASE, parse_unit
 from phfmu.declare.phdae import PHDAE
-from phfmu.declare.units import BASE, parse_unit
 from phfmu.discretise.model import Model, require_model
 from phfmu.engine.impulses import PortKernels
 from phfmu.fmu.export.outward import require_ports, turned

@@ -6,7 +6,7 @@ import math
 from collections.abc import Collection, Sequence
 from pathlib import Path
 
-from phfmu.declare.model_name import unwritable
+from phfmu.declare.entries.model_name import unwritable
 from phfmu.discretise.model import Model, takes_model
 from phfmu.engine.build.compile import compile, host_target, suffix
 from phfmu.fmu.export import manifest, package, sources

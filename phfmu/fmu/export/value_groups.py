@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 
+from phfmu.declare.expressions.units import parse_unit, unit_text
 from phfmu.declare.observable import observable
-from phfmu.declare.units import parse_unit, unit_text
 from phfmu.discretise.constant_energy import Constants
 from phfmu.discretise.model import Model, build_model
 from phfmu.engine.impulses import PortKernels, port_kernels

@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 
-from phfmu.declare.parameter_limits import Limit, limits
+from phfmu.declare.entries.parameter_limits import Limit, limits
 from phfmu.discretise.model import Model
 from phfmu.fmu.words import plain
 from phfmu.signals import MODE, Quantity, quantities

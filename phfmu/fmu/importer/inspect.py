@@ -10,7 +10,7 @@ import fmpy
 from phfmu.fmu.export.manifest import PortMap
 from phfmu.fmu.export.variables import FMUError
 from phfmu.fmu.importer.archive import Archive, open_archive
-from phfmu.fmu.importer.port_tables import ENDING, domain_of, unit_of
+from phfmu.fmu.importer.ports.port_tables import ENDING, domain_of, unit_of
 from phfmu.fmu.importer.unit_file import UnitFile, unit_file
 from phfmu.fmu.importer.unit_interface import Scalar, UnitInterface
 from phfmu.words import counted

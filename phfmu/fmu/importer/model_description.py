@@ -8,7 +8,7 @@ from itertools import product
 from math import isfinite
 from typing import IO, Any
 
-from phfmu.declare.units import BASE, Unit
+from phfmu.declare.expressions.units import BASE, Unit
 from phfmu.fmu import limits
 from phfmu.fmu.export.manifest import read_manifest
 from phfmu.fmu.export.variables import FMUError

@@ -15,8 +15,8 @@ from phfmu.fmu.export.manifest import PortMap
 from phfmu.fmu.export.variables import FMUError
 from phfmu.fmu.importer.archive import open_archive
 from phfmu.fmu.importer.bindings import able, told
-from phfmu.fmu.importer.node_exchange import NodeExchange
-from phfmu.fmu.importer.port_values import PortValues
+from phfmu.fmu.importer.ports.node_exchange import NodeExchange
+from phfmu.fmu.importer.ports.port_values import PortValues
 from phfmu.fmu.importer.refusal import UnitCallError, UnitFailure
 from phfmu.fmu.importer.unit_books import books
 from phfmu.fmu.importer.unit_interface import Scalar, UnitInterface

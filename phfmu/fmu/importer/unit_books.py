@@ -8,7 +8,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.fmu.importer.port_values import PortValues
+from phfmu.fmu.importer.ports.port_values import PortValues
 from phfmu.fmu.importer.slave import AnySlave
 from phfmu.fmu.importer.values import References
 

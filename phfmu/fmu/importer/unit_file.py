@@ -14,8 +14,8 @@ from phfmu.files import located
 from phfmu.fmu.export.manifest import PortMap
 from phfmu.fmu.export.variables import FMUError
 from phfmu.fmu.importer.archive import open_archive
-from phfmu.fmu.importer.port_tables import port_maps, read_sidecar, sidecar
-from phfmu.fmu.importer.terminal_ports import terminal_ports
+from phfmu.fmu.importer.ports.port_tables import port_maps, read_sidecar, sidecar
+from phfmu.fmu.importer.ports.terminal_ports import terminal_ports
 from phfmu.fmu.importer.unit_interface import UnitInterface
 from phfmu.gradients.quadrature import gauss_nodes
 from phfmu.words import meant

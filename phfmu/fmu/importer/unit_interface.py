@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+from phfmu.declare.expressions.units import Unit
 from phfmu.declare.port import Port
-from phfmu.declare.units import Unit
 from phfmu.fmu.export.manifest import PortMap
 from phfmu.fmu.export.variables import FMUError
 

@@ -15,7 +15,7 @@ from typing import Any
 
 import casadi as ca
 
-from phfmu.declare.parameter_limits import limits
+from phfmu.declare.entries.parameter_limits import limits
 from phfmu.declare.phdae import PHDAE
 from phfmu.discretise.model import Model
 from phfmu.engine.native.library import driver_sources
@@ -26,11 +26,11 @@ from phfmu.fmu.export.variables import FMUError, FMUVariable, listed
 from phfmu.network.as_unit.embedded import Embedded
 from phfmu.network.as_unit.landers import Landers, not_landed
 from phfmu.network.as_unit.text import SOLVER_FILES, network_files
+from phfmu.network.couplings.choice.gathered import COMPOSED
+from phfmu.network.couplings.choice.named import Named
 from phfmu.network.couplings.compiled.master import Master
 from phfmu.network.couplings.compiled.shares import Make, NativeShare, own_share
 from phfmu.network.couplings.coupled import Coupled
-from phfmu.network.couplings.gathered import COMPOSED
-from phfmu.network.couplings.named import Named
 from phfmu.network.couplings.newton import Newton
 from phfmu.network.couplings.unconverged import plain
 from phfmu.network.members.engine_member import EngineMember
@@ -387,7 +387,7 @@ def coupled_members(
     from phfmu.discretise.model import build_model
     from phfmu.engine.native.native import NativeInstance
     from phfmu.fmu.export.value_groups import telling_constant
-    from phfmu.network.couplings.apart import Apart
+    from phfmu.network.couplings.choice.apart import Apart
     from phfmu.network.members.engine_member import EngineMember
     from phfmu.network.members.unit_member import unit_member
 

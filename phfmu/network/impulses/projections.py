@@ -26,9 +26,9 @@ from phfmu.discretise.onestep import step_layout
 from phfmu.gradients.quadrature import gauss
 from phfmu.plan.layout import Layout
 from phfmu.plan.plan import Plan
-from phfmu.schemes.impulses import END_SHIFT, ROOT, WORK_POINTS
+from phfmu.schemes.constraints.impulses import END_SHIFT, ROOT, WORK_POINTS
 from phfmu.terms.bare import IMPULSE, Remedy
-from phfmu.terms.extract import extract
+from phfmu.terms.extraction.extract import extract
 from phfmu.terms.located import Row
 from phfmu.terms.term import Term
 

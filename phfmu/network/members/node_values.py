@@ -19,7 +19,7 @@ from phfmu.network.members.member import Member
 from phfmu.terms.port_impulses import PortImpulse
 
 if TYPE_CHECKING:
-    from phfmu.fmu.importer.node_exchange import NodeExchange
+    from phfmu.fmu.importer.ports.node_exchange import NodeExchange
     from phfmu.network.members.fmu_member import FMUMember
 
 Array = NDArray[np.float64]

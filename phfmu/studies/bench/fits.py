@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from phfmu.components.electrical import MachineData
     from phfmu.components.electrical.machines.machine_init import OperatingPoint
     from phfmu.declare.phdae import PHDAE
-    from phfmu.derivatives.fit import Fit
+    from phfmu.derivatives.fits.fit import Fit
     from phfmu.results.table import Table
 
 Array = NDArray[np.float64]
@@ -150,7 +150,7 @@ class Fits:
 
     def exact(self, seed: int) -> Fitted:
         """By the derivatives of the steps."""
-        from phfmu.derivatives.fit import Experiment, fit
+        from phfmu.derivatives.fits.fit import Experiment, fit
 
         found: list[Fit] = []
         own = [Experiment("short circuit", measured(self.part, seed), self.options, SHORT)]

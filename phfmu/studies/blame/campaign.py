@@ -89,8 +89,8 @@ def _findings(log: Path) -> list[Finding]:
 def _run(drawn: Drawn, log: Path, guilty: str, fault: Fault | None, where: Where) -> tuple[FaultyMember, Path | None]:
     """A run with an audit log, which may end early; the member with the fault, and the log if there is a step in it."""
     from phfmu.audit import AuditWriter
+    from phfmu.network.couplings.choice.named import named_coupling
     from phfmu.network.couplings.coupled import Coupled
-    from phfmu.network.couplings.named import named_coupling
     from phfmu.outcome.status import StepFailure
     from phfmu.runs.loop import run
     from phfmu.runs.options import Options

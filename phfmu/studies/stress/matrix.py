@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 from phfmu.studies.stress import (
-    coupled,
-    couplings,
-    crash,
     events,
     iron,
     linkage,
@@ -14,9 +11,9 @@ from phfmu.studies.stress import (
     particles,
     redundant,
     steps,
-    units,
 )
 from phfmu.studies.stress.case import Case
+from phfmu.studies.stress.members import coupled, couplings, crash, units
 
 #: scenes and components whose steps are put to the test without a target
 STEPPED = ("smib", "four_particle", "dc_motor")

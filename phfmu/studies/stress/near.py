@@ -9,8 +9,8 @@ import casadi as ca
 import numpy as np
 
 from phfmu.studies.stress.case import Case, Outcome
-from phfmu.studies.stress.couplings import coupled, oscillator, run
 from phfmu.studies.stress.drive import instance
+from phfmu.studies.stress.members.couplings import coupled, oscillator, run
 
 H, STEPS = 0.01, 300
 MOST = 1e-11

@@ -35,7 +35,7 @@ from phfmu.network.members.member import Member
 from phfmu.outcome.status import Status, StepFailure
 from phfmu.outcome.steps import StepEvent, Steps
 from phfmu.plan.ordering import StructurallySingular
-from phfmu.schemes.impulses import POINTS
+from phfmu.schemes.constraints.impulses import POINTS
 
 Array = NDArray[Any]
 

@@ -18,7 +18,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.declare.parameter_limits import declared_limits
+from phfmu.declare.entries.parameter_limits import declared_limits
 from phfmu.network.interface.joined import Joined
 from phfmu.network.members.member import Member
 from phfmu.network.network import Network

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import casadi as ca
 
-from phfmu.declare.coefficients import coefficient, square, stacked
+from phfmu.declare.entries.coefficients import coefficient, square, stacked
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.variable import Value, _sx, time
 from phfmu.terms.canonical import Locator

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.variable import _sx, time
 from phfmu.studies.bench.precision.flat import Flat
-from phfmu.terms.extract import extract
+from phfmu.terms.extraction.extract import extract
 from phfmu.terms.hidden import Hidden
 from phfmu.terms.term import Terms
 

@@ -1,0 +1,57 @@
+"""The names of `phfmu.components.electrical` and where they are defined."""
+
+from phfmu.components.electrical.branches import rc_node as rc_node
+from phfmu.components.electrical.branches import rl_branch as rl_branch
+from phfmu.components.electrical.branches import rl_link as rl_link
+from phfmu.components.electrical.breaker import breaker as breaker
+from phfmu.components.electrical.breaker import clearing_fault as clearing_fault
+from phfmu.components.electrical.breaker import ideal_diode as ideal_diode
+from phfmu.components.electrical.field_source import field_source as field_source
+from phfmu.components.electrical.infinite_bus import infinite_bus as infinite_bus
+from phfmu.components.electrical.machines.dc_motor import dc_motor as dc_motor
+from phfmu.components.electrical.machines.induction_machine import induction_machine as induction_machine
+from phfmu.components.electrical.machines.machine_data import MachineData as MachineData
+from phfmu.components.electrical.machines.machine_data import MachineDataError as MachineDataError
+from phfmu.components.electrical.machines.machine_data import machine_names as machine_names
+from phfmu.components.electrical.machines.machine_data import machine_set as machine_set
+from phfmu.components.electrical.machines.machine_init import OperatingPoint as OperatingPoint
+from phfmu.components.electrical.machines.machine_init import operating_point as operating_point
+from phfmu.components.electrical.machines.machine_init import steady_state as steady_state
+from phfmu.components.electrical.machines.machine_per_unit import from_inductances as from_inductances
+from phfmu.components.electrical.machines.machine_per_unit import from_per_unit as from_per_unit
+from phfmu.components.electrical.machines.machine_per_unit import reactances as reactances
+from phfmu.components.electrical.machines.main_flux import Saturation as Saturation
+from phfmu.components.electrical.machines.synchronous_machine import machine_at_bus as machine_at_bus
+from phfmu.components.electrical.machines.synchronous_machine import synchronous_machine as synchronous_machine
+from phfmu.components.electrical.network.inverter import grid_following_inverter as grid_following_inverter
+from phfmu.components.electrical.network.lines import coupled_line as coupled_line
+from phfmu.components.electrical.network.lines import line_per_unit as line_per_unit
+from phfmu.components.electrical.network.lines import pi_line as pi_line
+from phfmu.components.electrical.network.lines import series_compensated_line as series_compensated_line
+from phfmu.components.electrical.network.loads import capacitor_bank as capacitor_bank
+from phfmu.components.electrical.network.loads import load as load
+from phfmu.components.electrical.network.loads import rlc_branch as rlc_branch
+from phfmu.components.electrical.network.loads import shunt as shunt
+from phfmu.components.electrical.network.saturation import MagnetisationCurve as MagnetisationCurve
+from phfmu.components.electrical.network.saturation import saturating_reactor as saturating_reactor
+from phfmu.components.electrical.network.shunts import constant_power_load as constant_power_load
+from phfmu.components.electrical.network.shunts import fault as fault
+from phfmu.components.electrical.network.shunts import fault_events as fault_events
+from phfmu.components.electrical.network.shunts import surge_arrester as surge_arrester
+from phfmu.components.electrical.network.thevenin import thevenin_source as thevenin_source
+from phfmu.components.electrical.network.transformers import two_winding_transformer as two_winding_transformer
+from phfmu.components.electrical.rectifiers import rectifier_bridge as rectifier_bridge
+from phfmu.components.electrical.rectifiers import six_pulse_bridge as six_pulse_bridge
+from phfmu.components.electrical.resistor import resistor as resistor
+from phfmu.components.electrical.resistor import transformer as transformer
+from phfmu.components.electrical.rl_line import rl_line as rl_line
+from phfmu.components.electrical.rlc_load import rlc_load as rlc_load
+from phfmu.components.electrical.sources import current_source as current_source
+from phfmu.components.electrical.sources import voltage_source as voltage_source
+from phfmu.components.electrical.switch import fault_resistor as fault_resistor
+from phfmu.components.electrical.switches import chopper as chopper
+from phfmu.components.electrical.switches import diode as diode
+from phfmu.components.electrical.switches import ideal_switch as ideal_switch
+from phfmu.components.electrical.switches import thyristor as thyristor
+
+__all__: list[str]

@@ -1,0 +1,1 @@
+"""The tables of a ledger: as data, as text, as CSV."""

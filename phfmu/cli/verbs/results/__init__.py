@@ -1,0 +1,1 @@
+"""Verbs that read what a run left: its table, its audit, its page."""

@@ -1,0 +1,1 @@
+"""Expressions of a declaration: their operations, sums taken apart, dimensions and units."""

@@ -1,0 +1,1 @@
+"""Fits of a model to measurements: the fit, its journal, its picture."""

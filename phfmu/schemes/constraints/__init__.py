@@ -1,0 +1,1 @@
+"""Parts of schemes for constraints: their discrete Jacobians, masses and velocities, impulses at bare nodes."""

@@ -1,0 +1,1 @@
+"""Members at their limits: stiff couplings, loops, crashes, units of other tools."""

@@ -1,0 +1,1 @@
+"""Extraction of the terms of a declaration: energies, flows, masses."""

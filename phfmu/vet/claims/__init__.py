@@ -1,0 +1,1 @@
+"""Claims that vetting tries, by what they are about; all of them in order."""
