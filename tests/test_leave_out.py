@@ -137,6 +137,7 @@ def test_the_compiler_is_announced_only_when_it_is_waited_for(compiler, tmp_path
     assert said in (["compiled"], [])
     said.clear()
     monkeypatch.setenv("PHFMU_CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr("phfmu.engine.build.compile.SHIPPED", tmp_path)
     made("interpreted")
     assert said == ["interpreted"]  # what steps all models
     made("compiled")

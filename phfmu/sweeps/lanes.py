@@ -15,9 +15,9 @@ import numpy as np
 
 from phfmu.engine.build.codegen import solver_text
 from phfmu.engine.build.compile import Source, compile, find, host_flags
+from phfmu.engine.build.runtime_sources import headers
 from phfmu.engine.native.code import Interpreted
 from phfmu.engine.native.compiled import made_of
-from phfmu.engine.native.library import headers
 from phfmu.engine.native.native import NativeInstance
 from phfmu.schur.stepper import SchurStepper
 

@@ -15,7 +15,7 @@ from scipy.sparse.linalg import splu
 from phfmu import Collocated, PythonInstance, TwoLevel, build_model
 from phfmu.components.mechanical.chain import chain
 from phfmu.engine.build.compile import compile
-from phfmu.engine.build.tables import RUNTIME
+from phfmu.engine.build.runtime_sources import RUNTIME
 from phfmu.outcome.status import Status
 
 DRIVER = """

@@ -14,10 +14,11 @@ import pytest
 from phfmu.engine.build.codegen import kernel_table
 from phfmu.engine.build.compile import CompileError, CompilerMissing, compile, host_flags
 from phfmu.engine.build.kernels import Kernels
+from phfmu.engine.build.runtime_sources import runtime_sources
 from phfmu.engine.build.tables import CTables, c_text, ctypes_structures, stamp
 from phfmu.engine.model import kernels
 from phfmu.engine.native.code import code_of
-from phfmu.engine.native.library import load, runtime, runtime_sources
+from phfmu.engine.native.library import load, runtime
 from phfmu.engine.native.native import NativeInstance
 from phfmu.outcome.status import Status
 from tests.engine.hand_made import (

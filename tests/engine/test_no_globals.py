@@ -10,8 +10,8 @@ import pytest
 from phfmu import build_model
 from phfmu.components.library import build
 from phfmu.engine.build.compile import compile, host_flags, host_target
+from phfmu.engine.build.runtime_sources import library_sources
 from phfmu.engine.native.compiled import made_of
-from phfmu.engine.native.library import library_sources
 
 WRITTEN = {".data", ".bss", ".tdata", ".tbss"}
 COUNT = '#include "phfmu.h"\nPH_API long count(void);\nstatic long n;\nlong count(void) { return n++; }\n'

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
+import platform
 import signal
 import subprocess
 import sys
@@ -17,11 +19,13 @@ from phfmu import interrupt
 from phfmu.components.mechanical.translational import mass
 from phfmu.discretise.model import build_model
 from phfmu.engine.build import cache, objects
-from phfmu.engine.build.compile import LONG, CompileError, compile, host_flags
+from phfmu.engine.build import compile as build
+from phfmu.engine.build.compile import LONG, CompileError, compile, compile_once, host_flags, ship
 from phfmu.engine.build.kernels import Kernels
+from phfmu.engine.build.runtime_sources import PARTS, STEPS, library_sources, runtime_sources
 from phfmu.engine.model import kernels
 from phfmu.engine.native.code import Compiled, source
-from phfmu.engine.native.library import PARTS, STEPS, backwards, drivers, library_sources, runtime, runtime_sources
+from phfmu.engine.native.library import backwards, drivers, runtime
 from phfmu.fmu.export.export import export
 
 #: two sources that share a header by way of another, and one that stands alone
@@ -36,12 +40,13 @@ SOURCES = {
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, compiler: None) -> Path:
-    """An empty cache; the compiler keeps what it has built of its own run time."""
+    """An empty cache and a package without libraries; the compiler keeps what it has built of its own run time."""
     made, known = tmp_path / "cache", cache.cache_folder()
     made.mkdir(mode=0o700)
     (known / "zig").mkdir(parents=True, exist_ok=True)
     (made / "zig").symlink_to(known / "zig")
     monkeypatch.setenv("PHFMU_CACHE_DIR", str(made))
+    monkeypatch.setattr(build, "SHIPPED", tmp_path / "shipped")
     return made
 
 
@@ -87,6 +92,33 @@ def test_a_further_library_compiles_only_what_others_have_not(
     assert made().build.reused
     assert not compile(sources | {"more.c": "int more;\n"}, flags=host_flags()).reused
     assert compiled() == ["more.c"]
+
+
+def test_libraries_of_a_package_need_no_compiler(
+    folder: Path, tmp_path: Path, compiled: Callable[[], list[str]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What a wheel has is of this machine's kind; what is damaged, or of another source, is not taken."""
+    pytest.importorskip("ziglang")
+    paths = {name: tmp_path / name for name in SOURCES}
+    for name, path in paths.items():
+        path.write_text(SOURCES[name])
+    ship(build.SHIPPED, [paths])
+    assert compiled() == sorted(2 * ["a.c", "b.c", "c.c"]) if platform.machine() == "x86_64" else ["a.c", "b.c", "c.c"]
+
+    def missing(*_: object) -> None:
+        raise build.CompilerMissing("none here")
+
+    monkeypatch.setattr(build, "_find", missing)
+    found = compile_once(paths)
+    assert found.reused and found.path.is_relative_to(build.SHIPPED) and ctypes.CDLL(str(found.path)).a() == 1
+    for path in build.SHIPPED.rglob("*.*"):
+        path.write_bytes(path.read_bytes() + b" ")
+    with pytest.raises(build.CompilerMissing, match="none here"):
+        compile_once(paths)
+    assert list(build.SHIPPED.glob("*/*"))  # a package is not written to
+    paths["c.c"].write_text(SOURCES["c.c"] + "\n")
+    with pytest.raises(build.CompilerMissing):
+        compile_once(paths)
 
 
 def test_a_change_compiles_what_it_reaches_and_nothing_else(compiled: Callable[[], list[str]]) -> None:

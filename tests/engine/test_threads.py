@@ -16,9 +16,9 @@ from phfmu.components.mechanical.chain import chain
 from phfmu.discretise.model import Model
 from phfmu.engine.build.codegen import kernel_table, tangent_text
 from phfmu.engine.build.compile import host_flags
+from phfmu.engine.build.runtime_sources import library_sources
 from phfmu.engine.build.tables import c_text
 from phfmu.engine.model import kernels
-from phfmu.engine.native.library import library_sources
 
 FOUND = 66
 #: what instances, and members of the master, do all the time

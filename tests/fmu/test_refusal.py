@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from phfmu.cli import main
-from phfmu.engine.build.tables import RUNTIME
+from phfmu.engine.build.runtime_sources import RUNTIME
 from phfmu.fmu.importer import reader
 from phfmu.fmu.importer.refusal import UnitCallError
 from phfmu.outcome.status import Status

@@ -15,9 +15,10 @@ from phfmu.components.mechanical.multibody import Multibody
 from phfmu.discretise.model import Model, build_model, default_scheme
 from phfmu.engine.build.codegen import kernel_table
 from phfmu.engine.build.compile import compile, host_flags
+from phfmu.engine.build.runtime_sources import runtime_sources
 from phfmu.engine.build.tables import CTables
 from phfmu.engine.model import kernels
-from phfmu.engine.native.library import load, runtime_sources
+from phfmu.engine.native.library import load
 from phfmu.engine.native.native import NativeInstance
 from phfmu.engine.reference.python import PythonInstance
 from phfmu.gradients.quadrature import nodes

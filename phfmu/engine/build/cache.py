@@ -50,6 +50,12 @@ def find(key: str, ending: str) -> Path | None:
     return None
 
 
+def whole(folder: Path, ending: str) -> Path | None:
+    """The library of a folder outside the cache whose content is what its name says."""
+    sound = (p for p in folder.glob(f"*{ending}") if hashlib.sha256(p.read_bytes()).hexdigest() == p.stem)
+    return next(sound, None)
+
+
 def _sound(folder: Path, ending: str) -> Iterator[Path]:
     with suppress(OSError):
         for path in sorted(folder.glob(f"*{ending}")):

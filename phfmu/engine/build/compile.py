@@ -14,7 +14,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -57,6 +57,8 @@ def host_target() -> str:
     return f"{machine}-{system}"
 
 
+#: the flags of zig for the x86-64-v3 level
+ZIG_WIDE = ("-mcpu=x86_64_v3",)
 #: what Linux calls the instructions of the x86-64-v3 level that lanes use
 LEVEL_3 = {"avx", "avx2", "bmi1", "bmi2", "f16c", "fma", "abm", "movbe"}
 
@@ -77,7 +79,7 @@ def host_flags(compiler: str | None = None) -> tuple[str, ...]:
     if not found >= LEVEL_3:
         return ()
     zig = compiler != "cc" and importlib.util.find_spec("ziglang") is not None
-    return ("-mcpu=x86_64_v3",) if zig else ("-march=x86-64-v3",)
+    return ZIG_WIDE if zig else ("-march=x86-64-v3",)
 
 
 def suffix(target: str) -> str:
@@ -236,11 +238,23 @@ def compile(
     return replace(built, path=out or built.path)
 
 
-def compile_once(sources: Mapping[str, Path], announce: Callable[[], None] | None = None) -> Build:
-    """The same for this machine, with all it can do; where there is no compiler any more, what one left in the cache."""
-    target, wide = host_target(), bool(host_flags())
+#: where a wheel has the libraries that all models have in common, compiled for its platform
+SHIPPED = Path(__file__).parent / "shipped"
+
+
+def _common_key(sources: Mapping[str, Path], target: str, wide: bool) -> str:
+    """Name of a library that no compiler is part of; `wide`: with the vectors of `host_flags`."""
     files = {n: _bytes(s, True) for n, s in sources.items()}
-    key = Toolchain((), "any", (*FLAGS, str(wide)), LINK).library_key(files)
+    return Toolchain((), "any", (*FLAGS, target, str(wide)), LINK).library_key(files)
+
+
+def compile_once(sources: Mapping[str, Path], announce: Callable[[], None] | None = None) -> Build:
+    """The same for this machine, with all it can do: what the package was installed with, else compiled; where there is no
+    compiler any more, what one left in the cache."""
+    target = host_target()
+    key = _common_key(sources, target, bool(host_flags()))
+    if path := cache.whole(SHIPPED / key, suffix(target)):
+        return Build(path, True, "none", target)
     try:
         built = compile(sources, flags=host_flags(), announce=announce)
     except CompilerMissing as missing:
@@ -252,6 +266,17 @@ def compile_once(sources: Mapping[str, Path], announce: Callable[[], None] | Non
         with tempfile.TemporaryDirectory(dir=root / "lib") as folder, suppress(OSError):
             cache.put(root, key, Path(shutil.copy(built.path, folder)))
     return built
+
+
+def ship(folder: Path, libraries: Iterable[Mapping[str, Path]]) -> None:
+    """Puts libraries for all machines of this kind into the folder SHIPPED of a package; CompilerMissing without zig."""
+    target = host_target()
+    for sources in libraries:
+        for wide in (False, True) if target.startswith("x86_64") else (False,):
+            built = compile(sources, flags=ZIG_WIDE if wide else (), compiler="zig")
+            place = folder / _common_key(sources, target, wide) / built.path.name
+            place.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(built.path, place)
 
 
 def require_compiler(target: str | None = None) -> str:

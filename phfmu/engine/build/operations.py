@@ -17,7 +17,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.engine.build.tables import RUNTIME
+from phfmu.engine.build.runtime_sources import RUNTIME
 
 Ints = NDArray[np.int32]
 Floats = NDArray[np.float64]

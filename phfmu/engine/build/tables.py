@@ -13,19 +13,18 @@ from copy import copy
 from dataclasses import dataclass
 from functools import lru_cache
 from math import inf
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.engine.build.derived import event_values, group_values, lane_groups, plan_values, schur_sizes
+from phfmu.engine.build.runtime_sources import RUNTIME
 from phfmu.engine.model import Model
 from phfmu.events.event_plan import EventPlan
 from phfmu.plan.plan import Kernel, Plan
 from phfmu.schur.stepper import SchurStepper
 
-RUNTIME = Path(__file__).parent.parent / "runtime"
 SCALARS = {"int": ctypes.c_int, "double": ctypes.c_double, "uint64_t": ctypes.c_uint64}
 ARRAYS = {"int": np.int32, "double": np.float64, "signed char": np.int8}
 STRUCTS = ("ph_elimination", "ph_lane_group", "ph_schur", "ph_group", "ph_plan", "ph_model", "ph_events", "ph_switches",

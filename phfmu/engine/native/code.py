@@ -22,8 +22,9 @@ from phfmu.engine.build.codegen import function_table, kernel_table
 from phfmu.engine.build.compile import Build, CompileError, CompilerMissing, Generated, compile, find, host_flags
 from phfmu.engine.build.kernels import Kernels
 from phfmu.engine.build.operations import Operations, operations
+from phfmu.engine.build.runtime_sources import headers
 from phfmu.engine.build.tables import Filled
-from phfmu.engine.native.library import headers, runtime
+from phfmu.engine.native.library import runtime
 from phfmu.schur.stepper import SchurStepper
 
 #: how kernels run; auto: compiled if that is in the cache, or a Schur stepper needs it, else interpreted to begin with

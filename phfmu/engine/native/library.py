@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from phfmu.engine.build.cache import cache_folder
 from phfmu.engine.build.compile import Build, CompilerMissing, compile_once, require_compiler
-from phfmu.engine.build.tables import RUNTIME
+from phfmu.engine.build.runtime_sources import LIBRARIES, RUNTIME
 from phfmu.engine.model import Model
 from phfmu.engine.record import RECORD
 
@@ -146,46 +146,15 @@ def load(path: Path) -> ctypes.CDLL:
     return typed(lib, signatures)
 
 
-#: folders of the runtime that not everything has, and those of them that the library has which steps all models
-PARTS = ("events", "modes", "interpret", "reverse")
-STEPS = ("events", "modes", "interpret")
-#: whose folders `runtime` have what drives steps: the judge of ledgers, steps that keep a tolerance, sweeps, the master of
-#: coupled members
-DRIVERS = ("audit", "runs/march", "sweeps", "network/couplings")
-
-
-def runtime_sources(*parts: str) -> dict[str, Path]:
-    """The hand-written part of a library: file name -> path; with those of its folders PARTS that are asked for."""
-    absent = set(PARTS).difference(parts)
-    files = (p for p in sorted(RUNTIME.rglob("*")) if p.parent.name not in absent)
-    return {p.name: p for p in files if p.suffix in (".c", ".h", ".inc")}
-
-
-def driver_sources(*places: str) -> dict[str, Path]:
-    """The sources of some of the DRIVERS: file name -> path."""
-    folders = (RUNTIME.parent.parent / place / "runtime" for place in places)
-    return {p.name: p for folder in folders for p in sorted(folder.iterdir())}
-
-
-def library_sources() -> dict[str, Path]:
-    """All of the library that steps models and drives these steps."""
-    return runtime_sources(*PARTS) | driver_sources(*DRIVERS)
-
-
-def headers() -> dict[str, Path]:
-    """The headers that the code of a model includes."""
-    return {name: path for name, path in runtime_sources(*PARTS).items() if not name.endswith(".c")}
-
-
 def runtime(announce: Callable[[], None] | None = None) -> tuple[Build, ctypes.CDLL]:
     """The library that steps all models; CompilerMissing, CompileError."""
-    build = _built("steps", runtime_sources(*STEPS), announce)
+    build = _built("steps", announce)
     return build, load(build.path)
 
 
 def backwards() -> ctypes.CDLL:
     """The library that also goes back over steps, which a first gradient by adjoints waits for; as `drivers`."""
-    return load(_built("backwards", runtime_sources(*PARTS)).path)
+    return load(_built("backwards").path)
 
 
 def drivers() -> ctypes.CDLL:
@@ -193,25 +162,24 @@ def drivers() -> ctypes.CDLL:
 
     It has the same functions, and they have no state of their own: it steps the instances of the other one.
     """
-    return load(_built("drivers", library_sources()).path)
+    return load(_built("drivers").path)
 
 
 def summing() -> ctypes.CDLL:
     """The small library of the sums of a run and the judge of its steps, which steps nothing."""
-    numbers = RUNTIME / "real.h"
-    return ctypes.CDLL(str(_built("summing", driver_sources("audit") | {numbers.name: numbers}).path))
+    return ctypes.CDLL(str(_built("summing").path))
 
 
-def _built(name: str, sources: Mapping[str, Path], announce: Callable[[], None] | None = None) -> Build:
-    """The library `name`, compiled once for a cache."""
+def _built(name: str, announce: Callable[[], None] | None = None) -> Build:
+    """The library `name`: that of the package, else compiled once for a cache."""
     key = name, cache_folder()
     if key not in _BUILT:
-        _BUILT[key] = compile_once(sources, announce)
+        _BUILT[key] = compile_once(LIBRARIES[name](), announce)
     return _BUILT[key]
 
 
 def require_runtime() -> None:
-    """CompilerMissing where there is neither a compiler nor what one left in the cache."""
+    """CompilerMissing where there is neither a compiler nor a runtime in the package or in the cache."""
     try:
         require_compiler()
     except CompilerMissing:

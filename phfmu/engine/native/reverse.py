@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.engine.build.compile import CompilerMissing, compile, host_flags
+from phfmu.engine.build.runtime_sources import headers
 from phfmu.engine.model import Model
 from phfmu.engine.native.code import Code, Functions
 from phfmu.engine.native.compiled import Made
-from phfmu.engine.native.library import Signatures, backwards, headers, placed, typed, view
+from phfmu.engine.native.library import Signatures, backwards, placed, typed, view
 from phfmu.engine.native.native import NativeInstance
 from phfmu.engine.switched import SwitchedInstance
 from phfmu.events.modes import Mode

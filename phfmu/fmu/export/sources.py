@@ -12,10 +12,10 @@ import fmpy
 
 from phfmu.discretise.model import CONSISTENCY, Model
 from phfmu.engine.build.codegen import kernel_table, port_text, slope_text, tangent_text
+from phfmu.engine.build.runtime_sources import runtime_sources
 from phfmu.engine.build.tables import c_text, events_text
 from phfmu.engine.impulses import PortKernels
 from phfmu.engine.model import kernels
-from phfmu.engine.native.library import runtime_sources
 from phfmu.fmu.export.description import Unit
 from phfmu.fmu.export.unit_modes import ROWS, SWITCHES, UnitModes, events_symbol, model_symbol, symbols, unit_modes
 from phfmu.fmu.export.variables import value_name

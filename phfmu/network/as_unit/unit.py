@@ -18,7 +18,7 @@ import casadi as ca
 from phfmu.declare.entries.parameter_limits import limits
 from phfmu.declare.phdae import PHDAE
 from phfmu.discretise.model import Model
-from phfmu.engine.native.library import driver_sources
+from phfmu.engine.build.runtime_sources import driver_sources
 from phfmu.fmu.export.description import Unit
 from phfmu.fmu.export.outward import require_ports, turned
 from phfmu.fmu.export.schedule import fed_inside

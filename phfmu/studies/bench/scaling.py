@@ -80,11 +80,11 @@ def measure(family: Family, n: int) -> Size:
 def compile_time(table: KernelTable) -> float:
     """CPU seconds of the compiler for runtime and kernels, nothing reused."""
     from phfmu.engine.build.compile import compile, host_flags
-    from phfmu.engine.native.library import headers, runtime
+    from phfmu.engine.build.runtime_sources import STEPS, headers, runtime_sources
 
     with fresh_cache():
         before = compiler_seconds()
-        runtime()
+        compile(runtime_sources(*STEPS), flags=host_flags())
         compile(headers() | {"kernels.c": table.text}, flags=host_flags())
         return compiler_seconds() - before
 
