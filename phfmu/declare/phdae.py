@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from os import PathLike
 from typing import Any, Protocol
 
@@ -86,12 +87,12 @@ class PHDAE:
         object.__setattr__(self, "constraints", constraints)
         object.__setattr__(self, "ports", (*self.ports, *(p for s, p in drives.items() if s not in there)))
 
-    @property
+    @cached_property
     def x(self) -> ca.SX:
         """All states stacked (n1 x 1)."""
         return ca.vertcat(*(v.sx for v in self.states))
 
-    @property
+    @cached_property
     def hamiltonian(self) -> ca.SX:
         """H(x), the sum of all terms."""
         total = ca.SX(0)

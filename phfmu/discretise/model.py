@@ -15,6 +15,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from phfmu.collector import resting
 from phfmu.declare.alike import first_alike
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.phdae import PHDAE, require_declaration
@@ -187,6 +188,7 @@ def _instant(declaration: PHDAE, joint: bool, rests: bool) -> tuple[Plan, list[C
     return instant_plan(_terms(declaration, joint), rests=rests)
 
 
+@resting()
 def _discretised(declaration: PHDAE, scheme: Scheme, lands: bool) -> Model:
     terms = _terms(declaration, scheme.joint)
     step, layout = step_plan(terms, scheme)

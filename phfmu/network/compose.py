@@ -15,6 +15,7 @@ from dataclasses import replace
 
 import casadi as ca
 
+from phfmu.collector import resting
 from phfmu.declare.block import skew
 from phfmu.declare.copies import copied
 from phfmu.declare.event import StateEvent
@@ -27,6 +28,7 @@ from phfmu.network.signal_ports import fed
 from phfmu.network.wires import Wire, outputs, signal_symbols
 
 
+@resting()
 def compose(
     name: str,
     members: Mapping[str, PHDAE],
