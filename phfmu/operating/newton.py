@@ -121,7 +121,7 @@ def _turned(system: System, v: Array) -> Array:
         moving = [m for m in kind.members if first.get(m) in angles]
         A, b = kind.equations.turns([angles[first[m]] for m in moving])
         places = np.array([system.state_at[m] for m in moving], int)[:, None] + np.arange(kind.equations.size.x)
-        out[places] = np.einsum("mij,mj->mi", A, v[places]) + b
+        out[places] = (A @ v[places][:, :, None])[:, :, 0] + b
     return out
 
 
