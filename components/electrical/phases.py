@@ -75,9 +75,9 @@ class Phases:
     def energy(self, x: Variable, positive: Any, zero: Any) -> Energy:
         """|x_12|^2/(2 positive) + |x_0|^2/(2 zero), where x_0 is the mean of the phases and x_12 is what is left of x."""
         if self.count == 1:
-            return energy(x.sx**2 / (2.0 * positive))
+            return energy(x.sx**2 / (2.0 * positive), kind="quadratic")
         common = ca.sum1(x.sx) ** 2 / 3.0
-        return energy((ca.sumsqr(x.sx) - common) / (2.0 * positive) + common / (2.0 * zero))
+        return energy((ca.sumsqr(x.sx) - common) / (2.0 * positive) + common / (2.0 * zero), kind="quadratic")
 
     def no_zero_sequence(self, part: str, **given: float | None) -> None:
         """ValueError for values of the zero sequence of a part with one phase."""

@@ -102,7 +102,7 @@ def _inductor(p: Phases, L: float, i: Start, nominal: float) -> Branch:
     most = max(map(abs, start)) if isinstance(start, list) else abs(start)
     flux = state("flux", unit="Wb", start=start, nominal=max(nominal / 377.0, most),
                  description="flux of the inductor per phase", **p.each)  # fmt: skip
-    stored = energy(sum(x**2 for x in ca.vertsplit(flux.sx)) / (2 * inductance))
+    stored = energy(sum(x**2 for x in ca.vertsplit(flux.sx)) / (2 * inductance), kind="quadratic")
     told = observable("i_L", flux.z, unit="A", description="current of the inductor", elements=p.elements)
     return Branch(inductance, flux, told, energies=(stored,))
 
@@ -111,7 +111,7 @@ def _capacitor(p: Phases, C: float, v: Start, nominal: float) -> Branch:
     capacitance = parameter("C", C, unit="F", description="capacitance per phase")
     charge = state("charge", unit="C", start=p.start(C, v), nominal=C * nominal,
                    description="charge of the capacitor per phase", **p.each)  # fmt: skip
-    stored = energy(sum(x**2 for x in ca.vertsplit(charge.sx)) / (2 * capacitance))
+    stored = energy(sum(x**2 for x in ca.vertsplit(charge.sx)) / (2 * capacitance), kind="quadratic")
     return Branch(
         capacitance,
         charge,

@@ -9,6 +9,7 @@ from typing import Any
 
 import casadi as ca
 
+from phfmu.declare.copies import copied
 from phfmu.declare.entries.coefficients import coefficient
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.port import Port
@@ -63,7 +64,7 @@ class Block:
 
     def mapped(self, image: Callable[[Any], Any]) -> Block:
         """A copy on the images of its variables and ports."""
-        return replace(self, variables=tuple(map(image, self.variables)))
+        return copied(self, variables=tuple(map(image, self.variables)))
 
     def changed(self, change: Callable[[ca.SX], ca.SX]) -> Block:
         """A copy with other expressions."""

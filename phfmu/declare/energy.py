@@ -6,7 +6,7 @@ from collections.abc import Callable
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import Any
+from typing import Any, Literal
 
 import casadi as ca
 
@@ -43,9 +43,19 @@ class Energy:
         object.__setattr__(self, "kind", EnergyKind(self.kind))  # may be given by its name
 
 
-def energy(expr: Any, *, correct: tuple[Variable, ...] = (), owner: str = "") -> Energy:
-    """A term given by its expression; the declaration recognises quadratic terms by their constant Hessian."""
-    return Energy(ca.SX(_sx(expr)), EnergyKind.GENERAL, correct=correct, owner=owner)
+def energy(
+    expr: Any,
+    *,
+    kind: Literal["general", "quadratic"] = "general",
+    correct: tuple[Variable, ...] = (),
+    owner: str = "",
+) -> Energy:
+    """A term given by its expression; the declaration recognises quadratic terms by their constant Hessian.
+
+    kind: "quadratic" says so, for parts of which a network has thousands: it is then proved once for all that are alike, when
+    they are discretised. DeclarationError then for an H that is not.
+    """
+    return Energy(ca.SX(_sx(expr)), EnergyKind(kind), correct=correct, owner=owner)
 
 
 def resolve_kind(term: Energy, states: AbstractSet[int]) -> Energy:

@@ -10,13 +10,15 @@ How a declaration shows itself: one line, and a table for notebooks.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from functools import cached_property
 from os import PathLike
 from typing import Any, Protocol
 
 import casadi as ca
 
 from phfmu.declare.block import Block
+from phfmu.declare.copies import copied
 from phfmu.declare.energy import ClosedPair, Energy, EnergyKind, resolve_kind
 from phfmu.declare.error import DeclarationError, Problem
 from phfmu.declare.event import StateEvent, renamed
@@ -85,12 +87,12 @@ class PHDAE:
         object.__setattr__(self, "constraints", constraints)
         object.__setattr__(self, "ports", (*self.ports, *(p for s, p in drives.items() if s not in there)))
 
-    @property
+    @cached_property
     def x(self) -> ca.SX:
         """All states stacked (n1 x 1)."""
         return ca.vertcat(*(v.sx for v in self.states))
 
-    @property
+    @cached_property
     def hamiltonian(self) -> ca.SX:
         """H(x), the sum of all terms."""
         total = ca.SX(0)
@@ -123,7 +125,7 @@ class PHDAE:
             starts = [float(left.pop(n, s)) for n, s in zip(v.names(), v.start, strict=True)]
             if v.size is not None and v.name in left:
                 starts = [float(left.pop(v.name))] * v.n
-            return replace(v, start=tuple(starts))
+            return copied(v, start=tuple(starts))
 
         def renew_port(port: Port) -> Port:
             names = port.input_names()
@@ -131,7 +133,7 @@ class PHDAE:
             bare = names[0].partition("[")[0]
             if port.size is not None and bare in left:
                 starts = [float(left.pop(bare))] * port.n
-            return replace(port, start=tuple(starts))
+            return copied(port, start=tuple(starts))
 
         new = self.mapped(renew, renew_port)
         if left:
@@ -150,11 +152,11 @@ class PHDAE:
                 return swap.get(id(v), v)
             return swap[id(v)] if id(v) in swap else swap.setdefault(id(v), variable(v))
 
-        ports = tuple(replace(port(p), on={image(v): m for v, m in p.on.items()}) for p in self.ports)
+        ports = tuple(copied(port(p), on={image(v): m for v, m in p.on.items()}) for p in self.ports)
         swap |= {id(old): new for old, new in zip(self.ports, ports, strict=True)}
         pairs = list(zip(self.parameters, fields["parameters"], strict=True))
         new = {old: name for v, w in pairs for old, name in zip(v.names(), w.names(), strict=True)}
-        return replace(
+        return copied(
             self,
             **fields,
             ports=ports,
@@ -162,9 +164,9 @@ class PHDAE:
             z={image(v): m for v, m in self.z.items()},
             structure=tuple(b.mapped(image) for b in self.structure),
             dissipation=tuple(b.mapped(image) for b in self.dissipation),
-            constraints=tuple(replace(c, multiplier=image(c.multiplier)) for c in self.constraints),
-            closed=tuple(replace(c, variables=tuple(map(image, c.variables))) for c in self.closed),
-            energies=tuple(replace(e, correct=tuple(map(image, e.correct))) for e in self.energies),
+            constraints=tuple(copied(c, multiplier=image(c.multiplier)) for c in self.constraints),
+            closed=tuple(copied(c, variables=tuple(map(image, c.variables))) for c in self.closed),
+            energies=tuple(copied(e, correct=tuple(map(image, e.correct))) if e.correct else e for e in self.energies),
             state_events=renamed(self.state_events, new, image),
             switches=renamed_switches(self.switches, new, image),
         )

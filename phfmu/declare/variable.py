@@ -52,6 +52,8 @@ time: ca.SX = ca.SX.sym("time")
 
 
 def _values(name: str, what: str, value: Number, size: int) -> tuple[float, ...]:
+    if isinstance(value, float):
+        return (float(value),) * size
     try:
         array = np.atleast_1d(np.asarray(value, dtype=float)).ravel() if value is not None else None
     except (TypeError, ValueError):

@@ -15,6 +15,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from phfmu.collector import resting
 from phfmu.declare.entries.alike import first_alike
 from phfmu.declare.entries.starts import starts
 from phfmu.declare.error import DeclarationError
@@ -193,6 +194,7 @@ def _events(declaration: PHDAE, joint: bool) -> Callable[[Polynomial], EventPlan
     return event_plan(_terms(declaration, joint))
 
 
+@resting()
 def _discretised(declaration: PHDAE, scheme: Scheme, lands: bool) -> Model:
     terms = _terms(declaration, scheme.joint)
     step, layout = step_plan(terms, scheme)

@@ -15,7 +15,9 @@ from dataclasses import replace
 
 import casadi as ca
 
+from phfmu.collector import resting
 from phfmu.declare.block import skew
+from phfmu.declare.copies import copied
 from phfmu.declare.event import StateEvent
 from phfmu.declare.observable import Observable
 from phfmu.declare.phdae import PHDAE
@@ -26,6 +28,7 @@ from phfmu.network.signal_ports import fed
 from phfmu.network.wires import Wire, outputs, signal_symbols
 
 
+@resting()
 def compose(
     name: str,
     members: Mapping[str, PHDAE],
@@ -99,21 +102,21 @@ def _prefixed(prefix: str, model: PHDAE, feed: dict[End, Unknowns]) -> PHDAE:
     """`model` with prefixed names and its joined ports bound to the junction variables."""
 
     def rename(v: Variable) -> Variable:
-        return replace(v, name=f"{prefix}.{v.name}")
+        return copied(v, name=f"{prefix}.{v.name}")
 
     def bind(port: Port) -> Port:
         end = End(prefix, port.name)
         bound = port.bound
         if end in feed:
             bound = tuple(ca.vertsplit(feed[end].input_of(end).sx))
-        return replace(port, name=f"{prefix}.{port.name}", owner=_owner(prefix, port.owner), bound=bound)
+        return copied(port, name=f"{prefix}.{port.name}", owner=_owner(prefix, port.owner), bound=bound)
 
     new = model.mapped(rename, bind)
 
     def owned(items: tuple) -> tuple:
-        return tuple(replace(i, owner=_owner(prefix, i.owner)) for i in items)
+        return tuple(copied(i, owner=_owner(prefix, i.owner)) for i in items)
 
-    return replace(
+    return copied(
         new,
         energies=owned(new.energies),
         structure=owned(new.structure),
@@ -130,7 +133,7 @@ def _prefixed(prefix: str, model: PHDAE, feed: dict[End, Unknowns]) -> PHDAE:
 
 
 def _renamed(o: Observable, prefix: str) -> Observable:
-    return replace(o, name=f"{prefix}.{o.name}")
+    return copied(o, name=f"{prefix}.{o.name}")
 
 
 def _event(e: StateEvent, prefix: str) -> StateEvent:

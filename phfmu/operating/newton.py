@@ -116,10 +116,12 @@ def _turned(system: System, v: Array) -> Array:
         angle = angles[junction] = ((after - before) / before).imag if before else 0.0
         turned = before * complex(np.cos(angle), np.sin(angle))
         out[at : at + 2] = turned.real, turned.imag
-    for member, junction in system.first_junctions().items():
-        e, place = system.kind_of[member], system.state_at[member]
-        if junction in angles:
-            out[place : place + e.size.x] = e.turned(v[place : place + e.size.x], angles[junction])
+    first = system.first_junctions()
+    for kind in system.kinds.values():
+        moving = [m for m in kind.members if first.get(m) in angles]
+        A, b = kind.equations.turns([angles[first[m]] for m in moving])
+        places = np.array([system.state_at[m] for m in moving], int)[:, None] + np.arange(kind.equations.size.x)
+        out[places] = (A @ v[places][:, :, None])[:, :, 0] + b
     return out
 
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import sqrt
+from math import ceil, log2, sqrt
 from typing import Any
 
 import casadi as ca
@@ -39,6 +39,8 @@ BALANCED = sqrt(2.0 / 3.0) * np.array([[1.0, 0.0], [-0.5, sqrt(0.75)], [-0.5, -s
 EQUIVARIANT = 1e-8
 #: entries of S and c that are rounding
 ROUNDING = 1e-11
+#: terms of the series of an exponential: the next one of a matrix of norm 1 is below rounding
+SERIES = 20
 
 
 def three_phase(port: Port) -> bool:
@@ -181,13 +183,28 @@ class Equations:
 
     def turn(self, angle: float) -> tuple[Array, Array]:
         """A (nx x nx) and b (nx): states A x + b after a rotation of the phases by `angle` [rad]."""
-        from scipy.linalg import expm
+        A, b = self.turns([angle])
+        return A[0], b[0]
 
-        n = self.size.x
+    def turns(self, angles: Sequence[float]) -> tuple[Array, Array]:
+        """A (m x nx x nx) and b (m x nx) of the rotations by m angles [rad]: exp(angle [S, c; 0, 0]), all at once.
+
+        The series of the exponential, whose powers of the matrix all angles share, at an angle halved until its terms
+        fall from the first on; squared as many times.
+        """
+        n, turned = self.size.x, np.asarray(angles, np.float64)
         whole = np.zeros((n + 1, n + 1))
         whole[:n, :n], whole[:n, n] = self.S, self.c
-        whole = np.asarray(expm(angle * whole), np.float64)
-        return whole[:n, :n], whole[:n, n]
+        reach = float(np.abs(turned).max(initial=0.0)) * float(np.abs(whole).sum(axis=0).max())
+        halvings = max(0, ceil(log2(reach))) if reach > 0.0 else 0
+        powers = [np.eye(n + 1)]
+        for k in range(1, SERIES):
+            powers.append(powers[-1] @ whole / k)
+        shares = (turned / 2.0**halvings)[:, None] ** np.arange(SERIES)
+        found = np.einsum("mk,kij->mij", shares, np.array(powers))
+        for _ in range(halvings):
+            found = found @ found
+        return found[:, :n, :n], found[:, :n, n]
 
     def turned(self, x: Any, angle: float) -> Array:
         """The states after a rotation of the phases by `angle` [rad]."""

@@ -395,8 +395,10 @@ class Triplets:
             self.put(row + i, column + i, value)
 
     def block(self, row: int, column: int, values: Any) -> None:
-        for i, j in zip(*np.nonzero(values), strict=True):
-            self.put(row + int(i), column + int(j), values[i, j])
+        for i, entries in enumerate(values.tolist(), row):
+            for j, value in enumerate(entries, column):
+                if value:
+                    self.put(i, j, value)
 
     def matrix(self, shape: tuple[int, int]) -> Sparse:
         import scipy.sparse as sp

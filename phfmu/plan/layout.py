@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -44,15 +45,15 @@ class Layout:
 
     # -- sizes ------------------------------------------------------------------------------------------------------
 
-    @property
+    @cached_property
     def nw(self) -> int:
         return len(self.unknowns)
 
-    @property
+    @cached_property
     def nv(self) -> int:
         return self.nw + self.terms.nu * self.k + 1
 
-    @property
+    @cached_property
     def condensed(self) -> tuple[int, ...]:
         """Algebraic variables that are no unknowns, but sums of other values."""
         return self.terms.found(Condensed).variables

@@ -17,6 +17,7 @@ from functools import cached_property, partial
 import casadi as ca
 import numpy as np
 
+from phfmu.declare.variable import Value
 from phfmu.terms.canonical import Locator, components, make_term, scalars
 from phfmu.terms.hidden import Hidden
 from phfmu.terms.located import Row, RowAt
@@ -194,13 +195,19 @@ class Finder:
         return self.terms.with_descriptor()
 
     @cached_property
-    def _starts(self) -> dict[int, float]:
-        variables = (*self.terms.model.states, *self.terms.model.parameters)
-        return {s.element_hash(): x for v in variables for s, x in zip(ca.vertsplit(v.sx), v.start, strict=True)}
+    def _locator(self) -> Locator:
+        return Locator(self.terms.model, self.terms.pairs)
+
+    @cached_property
+    def _starts(self) -> dict[Value, list[float]]:
+        model = self.terms.model
+        of = {Value.STATE: model.states, Value.PARAMETER: model.parameters}
+        return {kind: [x for v in variables for x in v.start] for kind, variables in of.items()}
 
     def _at_start(self, expr: ca.SX) -> np.ndarray:
         symbols = ca.symvar(expr)
-        values = [self._starts[s.element_hash()] for s in symbols]
+        places = [self._locator.find(s, "bare node") for s in symbols]
+        values = [self._starts[at.kind][at.index] for at in places]
         return np.array(ca.Function("S", symbols, [ca.densify(expr)])(*values))
 
     def impulse_terms(self, remedy: Remedy) -> list[Term]:
@@ -208,8 +215,7 @@ class Finder:
         rows = [n.row for n in self.nodes if n.remedy == remedy]
         if not rows:
             return []
-        locator = Locator(self.terms.model, self.terms.pairs)
-        energies = self._energies()
+        locator, energies = self._locator, self._energies()
         out = []
         for cluster in self._clusters(rows):
             states = self._states(cluster)

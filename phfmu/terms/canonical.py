@@ -72,9 +72,9 @@ class Reading:
 def read(exprs: Sequence[ca.SX], locator: Locator, context: str, extra: Sequence[ca.SX] = ()) -> Reading:
     """The form of `exprs` and where their symbols live; `extra` symbols (scalars) are listed first even if they do not occur."""
     found: dict[Value, dict[int, ca.SX]] = {}
-    alone = len(exprs) == 1 and exprs[0].is_symbolic() and exprs[0].is_scalar()
-    f = None if alone else ca.Function("f", [], exprs, {"allow_free": True})
-    met = [*exprs] if f is None else f.free_sx()  # in the order of the operations that read them
+    plain = _symbols(exprs)
+    f = ca.Function("f", [], exprs, {"allow_free": True}) if plain is None else None
+    met = plain if f is None else f.free_sx()  # in the order of the operations that read them
     free = [locator.find(s, context) for s in met]
     for s, at in zip([*extra, *met], [*(locator.find(s, context) for s in extra), *free], strict=True):
         found.setdefault(at.kind, {}).setdefault(at.index, s)
@@ -83,10 +83,13 @@ def read(exprs: Sequence[ca.SX], locator: Locator, context: str, extra: Sequence
     index = {kind: tuple(of) for kind, of in found.items()}
     counts = tuple((kind, len(of)) for kind, of in symbols.items())
     places = tuple((at.kind, index[at.kind].index(at.index)) for at in free)
-    if f is None:  # a mass, a state that is observed
-        return Reading((counts, places), symbols, index)
     shapes = tuple((*e.shape, *map(tuple, e.sparsity().get_triplet())) if e.numel() != 1 else e.nnz() for e in exprs)
-    return Reading((counts, places, shapes, _operations(f)), symbols, index)
+    return Reading((counts, places, shapes, None if f is None else _operations(f)), symbols, index)
+
+
+def _symbols(exprs: Sequence[ca.SX]) -> list[ca.SX] | None:
+    """The entries of one expression that are symbols all, as a mass and states that are observed are; None of others."""
+    return scalars(exprs[0]) or None if len(exprs) == 1 and exprs[0].is_valid_input() else None
 
 
 def _operations(f: ca.Function) -> tuple[Hashable, ...]:

@@ -6,8 +6,8 @@ scalar port pairs; a declaration also has rows of observables and of sources.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import Enum
+from typing import NamedTuple
 
 from phfmu.declare.variable import Value
 
@@ -25,24 +25,21 @@ class Row(Enum):
     __hash__ = object.__hash__  # its members are keys of many tables
 
 
-@dataclass(frozen=True, slots=True)
-class ValueAt:
+class ValueAt(NamedTuple):
     """The value number `index` of its kind."""
 
     kind: Value
     index: int
 
 
-@dataclass(frozen=True, slots=True)
-class RowAt:
+class RowAt(NamedTuple):
     """The row number `index` of its kind."""
 
     kind: Row
     index: int
 
 
-@dataclass(frozen=True, slots=True)
-class Constant:
+class Constant(NamedTuple):
     """A constant entry: `row` contains `value` times `source`."""
 
     row: RowAt

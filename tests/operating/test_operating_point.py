@@ -51,6 +51,24 @@ def test_the_rotation_of_a_machine_turns_what_stands_in_the_stator(coordinates):
     assert turned[3:] == pytest.approx([*x[3:7], 0.1 + 2 * pi / 3])
 
 
+@pytest.mark.parametrize("coordinates", ["dq-flux", "abc-flux"])
+def test_turns_by_many_angles_at_once_are_exponentials(coordinates):
+    """Beside exponentials of 40 digits."""
+    from mpmath import expm, matrix, workdps
+
+    e = Equations(synchronous_machine(coordinates=coordinates))
+    n = len(e.c)
+    generator = np.block([[e.S, e.c[:, None]], [np.zeros((1, n + 1))]])
+    for angles in ([0.0, 1e-9, 0.3, -2.0], [-377.0, 50.0], []):
+        A, b = e.turns(angles)
+        assert A.shape == (len(angles), n, n) and b.shape == (len(angles), n)
+        for angle, a, moved in zip(angles, A, b, strict=True):
+            with workdps(40):
+                exact = np.array(expm(matrix(generator.tolist()) * angle).tolist(), float)
+            assert np.abs(a - exact[:n, :n]).max() <= 1e-15 * max(1.0, abs(angle))
+            assert np.abs(moved - exact[:n, n]).max() <= 1e-15 * max(1.0, abs(angle))
+
+
 def test_unequal_phases_have_no_rotation():
     """A line whose resistance differs by phase, made by unequal values in one matrix."""
     import casadi as ca

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from math import isfinite
 
 import numpy as np
 
@@ -24,7 +25,8 @@ def starts(model: PHDAE) -> list[Problem]:
     found = []
     for v, entry in variables(model):
         what = "value" if entry == "parameters" else "start"
-        found += _start(f"variable '{v.name}'", what, v.start, v.n, v.names())
+        if not _sound(v.start, v.n):
+            found += _start(f"variable '{v.name}'", what, v.start, v.n, v.names())
         if len(v.nominal) != v.n:
             found.append(_count(f"variable '{v.name}'", "nominal", len(v.nominal), v.n))
     for port in model.ports:
@@ -43,6 +45,11 @@ def _count(entry: str, what: str, found: int, expected: int) -> Problem:
     return Problem(
         "shape", entry, f"{what} has {found} entries, expected {expected}", "give one number or one per entry"
     )
+
+
+def _sound(value: object, n: int) -> bool:
+    """n finite numbers in a tuple, as a variable that was made by `state` and its like has them."""
+    return isinstance(value, tuple) and len(value) == n and all(isinstance(x, float) and isfinite(x) for x in value)
 
 
 def _start(entry: str, what: str, value, n: int, scalar: list[str]) -> list[Problem]:

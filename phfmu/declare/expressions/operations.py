@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from math import inf
+from typing import NamedTuple
 
 import casadi as ca
 
@@ -26,8 +26,7 @@ _NAMES = {
 TESTS = {ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_NOT, ca.OP_AND, ca.OP_OR}
 
 
-@dataclass(frozen=True)
-class Instruction:
+class Instruction(NamedTuple):
     """One operation of a scalar function: places of its arguments and result; `value` of a constant.
 
     An input has its (argument, entry) as `inputs`; an output has its (result, entry) as `outputs`.

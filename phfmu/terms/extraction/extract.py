@@ -88,7 +88,8 @@ def _observables(model: PHDAE, out: Terms, locator: Locator) -> None:
         n = o.expr.numel()
         rows = [RowAt(Row.OBSERVABLE, first + j) for j in range(n)]
         out.observable_names += o.names()
-        out.terms.append(make_term(OBSERVABLE, {"f": ca.vec(o.expr)}, locator, f"observable '{o.name}'", rows=rows))
+        f = o.expr if o.expr.is_column() else ca.vec(o.expr)
+        out.terms.append(make_term(OBSERVABLE, {"f": f}, locator, f"observable '{o.name}'", rows=rows))
         first += n
 
 

@@ -42,8 +42,9 @@ def energies(model: PHDAE, out: Terms, locator: Locator, mass: dict[int, ca.SX],
             return [make_term(ENERGY, exprs, locator, "energy", rows=_balances(states), extra=[s for s, _ in states], owner=owner,
                               form=EnergyForm(e.kind))]  # fmt: skip
 
-        given = [e.expr, *(mass.get(i, ca.SX(1)) for _, i in states)]
-        out.terms += alike(given, _balances(states), locator, "energy", quadratic, owner)
+        weighted = tuple(i in mass for _, i in states)
+        given = [e.expr, *(mass[i] for _, i in states if i in mass)]
+        out.terms += alike(given, _balances(states), locator, "energy", quadratic, owner, weighted)
 
 
 def _scale(states: list[tuple[ca.SX, int]], mass: dict[int, ca.SX]) -> ca.SX:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import casadi as ca
 
@@ -40,8 +41,8 @@ def _rows(
     return rows, sources
 
 
-def _constant(entry: ca.SX) -> float | None:
-    return float(entry) if entry.is_constant() else None
+def _constant(entry: ca.SX | float) -> float | None:
+    return float(entry) if isinstance(entry, float) or entry.is_constant() else None
 
 
 def _targets(out: Terms, row: RowAt) -> list[tuple[RowAt, float]]:
@@ -196,19 +197,26 @@ def ports(out: Terms, locator: Locator) -> None:
                 out.terms.append(make_term(SOURCE, {"s": s[j]}, locator, f"source of '{port.name}'", rows=rows))
 
 
+def _entries(port: Port, v: Variable, value: Any) -> list[tuple[int, int, ca.SX | float]]:
+    """(row, column, entry) of the columns of B on a variable that are not zero by their structure."""
+    if isinstance(value, int | float) and v.n == port.n:  # that multiple of the identity, as most are
+        return [(j, j, float(value)) for j in range(v.n)]
+    b = coefficient(value, v.n, port.n)
+    if b.shape != (v.n, port.n):
+        raise DeclarationError(
+            f"port '{port.name}'", f"B on '{v.name}' is {b.shape[0]} x {b.shape[1]}, expected {v.n} x {port.n}",
+            "make it as large as the variable and the port", "shape",
+        )  # fmt: skip
+    return list(zip(*b.sparsity().get_triplet(), scalars(b), strict=True))
+
+
 def _port(out: Terms, locator: Locator, port: Port, first: int) -> None:
     varying: dict[RowAt, ca.SX] = {}
-    for v, value in port.on.items():
-        b = coefficient(value, v.n, port.n)
-        if b.shape != (v.n, port.n):
-            raise DeclarationError(
-                f"port '{port.name}'", f"B on '{v.name}' is {b.shape[0]} x {b.shape[1]}, expected {v.n} x {port.n}",
-                "make it as large as the variable and the port", "shape",
-            )  # fmt: skip
+    for v, given in port.on.items():
+        entries = _entries(port, v, given)
         rows, sources = _rows(out.model, [v], locator)
-        i_row, i_col = b.sparsity().get_triplet()
-        for r, j in zip(i_row, i_col, strict=True):
-            pair, row, source, value = first + j, rows[r], sources[r], _constant(b[r, j])
+        for r, j, entry in entries:
+            pair, row, source, value = first + j, rows[r], sources[r], _constant(entry)
             back = RowAt(Row.EQUATION, out.bound[pair]) if pair in out.bound else None
             if value == 0.0:
                 continue
@@ -216,13 +224,13 @@ def _port(out: Terms, locator: Locator, port: Port, first: int) -> None:
             if value is not None:
                 out.constants.append(Constant(row, ValueAt(Value.INPUT, pair), value))
             else:
-                targets.append((row, b[r, j] * port.u[j]))
+                targets.append((row, entry * port.u[j]))
             if value is not None and source is not None:
                 out.constants.append(Constant(RowAt(Row.OUTPUT, pair), source, value))
                 if back:
                     out.constants.append(Constant(back, source, -value))
             else:
-                y = b[r, j] * out.model.effort(v)[r]
+                y = entry * out.model.effort(v)[r]
                 targets += [(RowAt(Row.OUTPUT, pair), y)] + ([(back, -y)] if back else [])
             for target, expr in targets:
                 varying[target] = varying.get(target, ca.SX(0)) + expr
