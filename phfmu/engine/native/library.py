@@ -192,8 +192,8 @@ def drivers() -> ctypes.CDLL:
 
 def summing() -> ctypes.CDLL:
     """The small library of the sums of a run and the judge of its steps, which steps nothing."""
-    numbers = RUNTIME / "real.h"
-    return ctypes.CDLL(str(_built("summing", driver_sources("audit") | {numbers.name: numbers}).path))
+    headers = {name: RUNTIME / name for name in ("real.h", "judge.h")}
+    return ctypes.CDLL(str(_built("summing", driver_sources("audit") | headers).path))
 
 
 def _built(name: str, sources: Mapping[str, Path], announce: Callable[[], None] | None = None) -> Build:

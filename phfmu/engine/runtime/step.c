@@ -4,11 +4,11 @@
 
 #include "system.h"
 
-/* The Schur stepper where the model has one and it leaves out the constraints that rest; else, or where it
- * does not converge, Newton's method. */
-static int solve(ph_instance *in, double h) {
+/* The Schur stepper where it is asked for, the model has one and it leaves out the constraints that rest;
+ * else, or where it does not converge, Newton's method. */
+static int solve(ph_instance *in, double h, int fast) {
     ph_system *s = &in->step;
-    in->fast = in->schur && in->planned && in->model->code->solver->solve(in->schur, s, h) == 0;
+    in->fast = fast && in->schur && in->planned && in->model->code->solver->solve(in->schur, s, h) == 0;
     if (!in->fast)
         return ph_solve(s, h);
     ph_eval_h(s, h);
@@ -20,6 +20,36 @@ static int solve(ph_instance *in, double h) {
     return PH_OK;
 }
 
+/* The same until no constraint at rest is needed; *called: some were. */
+static int solve_held(ph_instance *in, double h, int fast, int *called) {
+    for (;;) {
+        int status = solve(in, h, fast);
+        if (status || !in->step.resting || !ph_rest_wake(in))
+            return status;
+        *called = 1;
+    }
+}
+
+/* Solves and weighs a part of length h. Near a loss of rank multipliers are so large that what the Schur
+ * stepper leaves of the constraints is energy: a step of it that the ledger would not let pass is taken by
+ * Newton's method. */
+static int solve_weighed(ph_instance *in, double h, int *called) {
+    for (int fast = 1;; fast = 0) {
+        int status = solve_held(in, h, fast, called);
+        if (status) {
+            ph_explain(&in->step, status, &in->report);
+            return status;
+        }
+        if (ph_weigh(in, h)) {
+            in->report = (ph_report){.status = PH_NOT_FINITE, .row = -1, .column = -1};
+            return PH_NOT_FINITE;
+        }
+        if (!in->fast || ph_closes(in))
+            return PH_OK;
+        in->count[PH_SCHUR]--;
+    }
+}
+
 /* Solves the part [from, from + weight] of the communication step [t, t+h]; of the state only the time and,
  * if it succeeds, the constraints that rest change. */
 static int try_part(ph_instance *in, double t, double h, double from, double weight) {
@@ -28,16 +58,7 @@ static int try_part(ph_instance *in, double t, double h, double from, double wei
     in->table[s->plan->nx] = t + h * from;
     ph_resample(in, from, weight, s->y + s->plan->nw);
     in->count[PH_SOLVES]++;
-    for (;;) {
-        status = solve(in, h * weight);
-        if (status || !s->resting || !ph_rest_wake(in))
-            break;
-        called = 1;
-    }
-    if (status)
-        ph_explain(s, status, &in->report);
-    else if (ph_weigh(in, h * weight))
-        in->report = (ph_report){.status = status = PH_NOT_FINITE, .row = -1, .column = -1};
+    status = solve_weighed(in, h * weight, &called);
     if (status) {
         in->report.spent = (int)(in->count[PH_ITERATIONS] - in->begun);
         in->report.time = t + h * from;
