@@ -133,8 +133,11 @@ def test_a_step_that_ends_near_the_line_needs_no_other_one(native: bool, order: 
 
 
 @pytest.mark.slow
-def test_a_schur_step_that_the_ledger_would_not_let_pass_is_taken_by_newton(compiler: None) -> None:
-    """The second step converges by sweeps, but what they leave of the constraints does 1.04 times the work that is allowed."""
+def test_a_schur_step_that_the_ledger_would_not_let_pass_is_solved_to_rounding(compiler: None) -> None:
+    """The second step ends after three sweeps whose updates shrink by luck: what is left does 1.04 times the work allowed.
+
+    The third one would miss half as much as is allowed, which passes.
+    """
     n, step = 40, 0.002
     declaration = four_bar(n)
     model = build_model(declaration, default_scheme(declaration, 6))
@@ -145,7 +148,7 @@ def test_a_schur_step_that_the_ledger_would_not_let_pass_is_taken_by_newton(comp
     other.set_state(instance.get_state())
     second = instance.run(step, step, 4, ("stored", "moved"))
     other.run(step, step, 4)
-    assert instance.counts["schur"] == 2 and instance.get_state() == other.get_state()
+    assert instance.counts["schur"] == 3 and instance.get_state() == other.get_state()
     for found in (first, second):
         assert (np.abs(found["stored"]) <= (DEFAULT_RTOL + REACH_ULPS * EPS) * found["moved"]).all()
 

@@ -4,11 +4,11 @@
 
 #include "system.h"
 
-/* The Schur stepper where it is asked for, the model has one and it leaves out the constraints that rest;
- * else, or where it does not converge, Newton's method. */
-static int solve(ph_instance *in, double h, int fast) {
+/* The Schur stepper where the model has one and it leaves out the constraints that rest; else, or where it
+ * does not converge, Newton's method. */
+static int solve(ph_instance *in, double h) {
     ph_system *s = &in->step;
-    in->fast = fast && in->schur && in->planned && in->model->code->solver->solve(in->schur, s, h) == 0;
+    in->fast = in->schur && in->planned && in->model->code->solver->solve(in->schur, s, h) == 0;
     if (!in->fast)
         return ph_solve(s, h);
     ph_eval_h(s, h);
@@ -21,21 +21,23 @@ static int solve(ph_instance *in, double h, int fast) {
 }
 
 /* The same until no constraint at rest is needed; *called: some were. */
-static int solve_held(ph_instance *in, double h, int fast, int *called) {
+static int solve_held(ph_instance *in, double h, int *called) {
     for (;;) {
-        int status = solve(in, h, fast);
+        int status = solve(in, h);
         if (status || !in->step.resting || !ph_rest_wake(in))
             return status;
         *called = 1;
     }
 }
 
-/* Solves and weighs a part of length h. Near a loss of rank multipliers are so large that what the Schur
- * stepper leaves of the constraints is energy: a step of it that the ledger would not let pass is taken by
- * Newton's method. */
+/* Solves and weighs a part of length h. The Schur stepper ends its sweeps by how they contract, which may be
+ * luck, and near a loss of rank multipliers are so large that what is left of the constraints is energy: a
+ * step of it that the ledger would not let pass is solved again until updates are rounding. */
 static int solve_weighed(ph_instance *in, double h, int *called) {
-    for (int fast = 1;; fast = 0) {
-        int status = solve_held(in, h, fast, called);
+    for (int strict = 0;; strict = 1) {
+        int status;
+        in->step.strict = strict;
+        status = solve_held(in, h, called);
         if (status) {
             ph_explain(&in->step, status, &in->report);
             return status;
@@ -44,7 +46,7 @@ static int solve_weighed(ph_instance *in, double h, int *called) {
             in->report = (ph_report){.status = PH_NOT_FINITE, .row = -1, .column = -1};
             return PH_NOT_FINITE;
         }
-        if (!in->fast || ph_closes(in))
+        if (!in->fast || strict || ph_closes(in))
             return PH_OK;
         in->count[PH_SCHUR]--;
     }

@@ -73,6 +73,7 @@ struct ph_system {
     int bare;    /* 1: factors without delta */
     int holds;   /* the factor is that of `kept` */
     int trusts;  /* Newton's method begins with it */
+    int strict;  /* the Schur stepper sweeps until updates are rounding */
     int empty;   /* row without entries at the last factorisation, or -1 */
     int iterations;
     ph_real update;
