@@ -2,7 +2,7 @@
 
 A step is measured against the energies in play in it and, as rounding, against those that were in play so far,
 
-    |residual| <= allowed = rtol P + FLOOR eps max(P, |sum dH|) + ULPS eps V + LEAST,
+    |residual| <= allowed = rtol P + REACH_ULPS eps max(P, |sum dH|) + ULPS eps V + LEAST,
     P = (moved or V) + |dissipated| + |numerical| + |supplied| + sum |port energies|,
 
 with the maximum over the run up to the step.  `moved` is the sum over the component's energies of |change|; V = max(|H0|, |H1|)
@@ -28,10 +28,11 @@ from phfmu.audit.summing.sums import CompensatedSum, Floats, add, all_finite, la
 from phfmu.audit.violation import Violation, ViolationKind
 from phfmu.outcome.limits import defined
 
-DEFAULT_RTOL = 1e-11
 EPS = float(np.finfo(float).eps)
-HEADER = Path(__file__).parent / "runtime" / "judge.h"
-FLOOR, ULPS, PARTS, RUN, LEAST = (defined(HEADER)[name] for name in ("FLOOR", "ULPS", "PARTS", "RUN", "LEAST"))
+HEADER = Path(__file__).parent.parent / "engine" / "runtime" / "judge.h"
+DEFAULT_RTOL, REACH_ULPS, ULPS, PARTS, RUN, LEAST = (
+    defined(HEADER)[name] for name in ("RTOL", "REACH_ULPS", "ULPS", "PARTS", "RUN", "LEAST")
+)
 
 
 @dataclass(slots=True)
@@ -83,7 +84,7 @@ class Judge:
         with np.errstate(invalid="ignore", over="ignore"):
             H, varying = _larger_finite(np.abs(block.H0), np.abs(block.steps.H)), _or(0.0, block.varying)
             relations = self._relations(accounts, _or(0.0, block.inside), reach)
-            rounding, of_H = FLOOR * EPS * reach + LEAST, ULPS * EPS * (varying + relations)
+            rounding, of_H = REACH_ULPS * EPS * reach + LEAST, ULPS * EPS * (varying + relations)
             in_step = self.rtol * in_play + rounding
             allowed = in_step + of_H
             self._mark(ViolationKind.BALANCE, names, block.residual, allowed, block, judged)
@@ -186,7 +187,7 @@ class Judge:
             self.passed.update(zip(names, reach[-1].tolist(), strict=True))
             judged = np.full(len(names), not block.booking.loose)
             rounding = ULPS * EPS * rows(played) + (ULPS * EPS) ** 2 * rows(varying)
-            permitted = self.rtol * passed + FLOOR * EPS * reach + LEAST + rounding[:, None]
+            permitted = self.rtol * passed + REACH_ULPS * EPS * reach + LEAST + rounding[:, None]
             created = block.junction_residual - self._lost(block)
             passed_on = np.abs(rows(created)) <= rounding + ULPS * EPS * rows(np.abs(created))
             permitted += np.where(passed_on, self.rtol * rows(varying), 0.0)[:, None]

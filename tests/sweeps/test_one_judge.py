@@ -1,4 +1,4 @@
-"""A sweep takes the steps of a run and judges them as a run does: one rule, which runtime/judge.h of the audit holds."""
+"""A sweep takes the steps of a run and judges them as a run does: one rule, which judge.h of the runtime holds."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 
 import phfmu as ph
 from phfmu import PHDAE, Monolithic, NativeInstance, Options, Scene, block, energy, run, sweep
-from phfmu.audit.judge import FLOOR, HEADER, PARTS, RUN, ULPS
+from phfmu.audit.judge import DEFAULT_RTOL, HEADER, PARTS, REACH_ULPS, RUN, ULPS
 from phfmu.components.library import GRIDS, LIBRARY, build
 from phfmu.sweeps.design import Design
 from phfmu.sweeps.general_runs import GeneralRuns, of_model
@@ -112,8 +112,14 @@ def test_the_table_tells_the_larger_of_both() -> None:
 
 
 def test_the_constants_of_the_rule_stand_in_one_header() -> None:
-    assert (FLOOR, ULPS, PARTS, RUN) == (1024.0, 64.0, 4.0, 4.0)
+    assert (DEFAULT_RTOL, REACH_ULPS, ULPS, PARTS, RUN) == (1e-11, 1024.0, 64.0, 4.0, 4.0)
     assert all(
         f"PH_{name} {value:g}\n" in HEADER.read_text()
-        for name, value in (("FLOOR", FLOOR), ("ULPS", ULPS), ("PARTS", PARTS), ("RUN", RUN))
+        for name, value in (
+            ("RTOL", DEFAULT_RTOL),
+            ("REACH_ULPS", REACH_ULPS),
+            ("ULPS", ULPS),
+            ("PARTS", PARTS),
+            ("RUN", RUN),
+        )
     )

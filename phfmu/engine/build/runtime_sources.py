@@ -39,8 +39,7 @@ def headers() -> dict[str, Path]:
 
 
 def _summing() -> dict[str, Path]:
-    numbers = RUNTIME / "real.h"
-    return driver_sources("audit") | {numbers.name: numbers}
+    return driver_sources("audit") | {name: RUNTIME / name for name in ("real.h", "judge.h")}
 
 
 #: the sources of the libraries that all models have in common, by name

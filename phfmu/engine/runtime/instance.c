@@ -2,6 +2,7 @@
 #include <math.h>
 #include <string.h>
 
+#include "judge.h"
 #include "system.h"
 
 static int plan_fits(const ph_plan *p, const ph_model *model) {
@@ -163,6 +164,8 @@ int ph_continue(ph_instance *in, const ph_instance *from) {
     copy(in->table, from->table, length);
     copy(in->rest, from->rest, p->nx);
     copy(in->table_rest, from->table_rest, p->nq + 3 * p->ncomp);
+    for (int c = 0; c < p->ncomp && p->schur && q->schur; c++)
+        in->reach[c] = ph_most(in->reach[c], from->reach[c]);
     copy(in->p, from->p, p->np);
     if (!together) /* its own last step is no longer the one before the next */
         ph_seed(in, in->table + in->offset[PH_A]);

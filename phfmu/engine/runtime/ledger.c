@@ -2,6 +2,7 @@
 #include <math.h>
 #include <string.h>
 
+#include "judge.h"
 #include "system.h"
 
 /* x += change, compensated. */
@@ -36,6 +37,38 @@ static ph_truth beyond(const ph_real *restrict values, int n) {
     for (int i = 0; i < n; i++)
         found |= PH_NOT(PH_REAL_ABS(values[i]) <= PH_LARGEST);
     return found;
+}
+
+/* What the components of a weighed part were given, and the energies in play in them. */
+static void take_in_play(ph_instance *in) {
+    const ph_system *s = &in->step;
+    const ph_plan *p = s->plan;
+    ph_clear(in->given, p->ncomp);
+    ph_clear(in->in_play, p->ncomp);
+    for (int j = 0; j < p->nq; j++) {
+        in->given[p->pair_owner[j]] += in->energies[j];
+        in->in_play[p->pair_owner[j]] += PH_REAL_ABS(in->energies[j]);
+    }
+    for (int l = 0; l < p->nwork; l++) {
+        const int owner = p->pair_owner[p->work_pair[l]];
+        in->given[owner] += s->r[p->work_row[l]];
+        in->in_play[owner] += PH_REAL_ABS(s->r[p->work_row[l]]);
+    }
+    for (int c = 0; c < p->ncomp; c++)
+        in->in_play[c] = ph_in_play(in->moved[c], in->stored[c], in->given[c], in->lost[c], in->numerical[c],
+                                    in->in_play[c]);
+}
+
+/* Whether the weighed part closes by the rule of the ledger, for what the instance knows of the run: not how
+ * large H is, whose rounding would excuse more where hardly anything has moved. */
+ph_truth ph_closes(const ph_instance *in) {
+    ph_truth closes = PH_TRUE;
+    for (int c = 0; c < in->step.plan->ncomp; c++) {
+        const ph_real missed = in->stored[c] + in->lost[c] + in->numerical[c] - in->given[c];
+        const ph_real reach = ph_most(in->reach[c], in->in_play[c]);
+        closes &= PH_REAL_ABS(missed) <= ph_allowed(PH_RTOL, in->in_play[c], reach, PH_REAL_SPREAD(0.0));
+    }
+    return closes;
 }
 
 /* Energies of a solved part of length h: in->stored, moved, lost, numerical, energies and means. True if it
@@ -75,6 +108,8 @@ ph_truth ph_weigh(ph_instance *in, double h) {
                 (PH_REAL_ABS(in->numerical[c]) + PH_REAL_ABS(cumulative[0])) +
                 (PH_REAL_ABS(cumulative[p->ncomp]) + PH_REAL_ABS(cumulative[2 * p->ncomp]));
     }
+    if (p->schur)
+        take_in_play(in);
     return refused | PH_NOT(most <= PH_LARGEST);
 }
 
@@ -102,6 +137,8 @@ void ph_accept(ph_instance *in, double h, double from, double weight) {
         in->row[PH_ROW_PAIRS][p->work_pair[l]] += energy;
         in->row[PH_ROW_SUPPLIED][p->pair_owner[p->work_pair[l]]] += energy;
     }
+    for (int c = 0; c < p->ncomp && p->schur; c++)
+        in->reach[c] = ph_most(in->reach[c], in->in_play[c]);
     for (int l = 0; l < p->nmean && p->carries; l++)
         a[p->mean_a[l]] = PH_REAL_SPREAD(0.0);
     for (int l = 0; l < p->nmean; l++) {

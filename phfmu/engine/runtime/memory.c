@@ -36,6 +36,7 @@ static void lay_state(ph_instance *in, ph_pool *b) {
     in->u_old = ph_take_reals(b, p->nu * p->k);
     in->first = ph_take_reals(b, p->nw);
     in->y_node = ph_take_reals(b, p->k > 1 ? p->nq * p->k : 0);
+    in->reach = ph_take_reals(b, p->schur ? p->ncomp : 0);
     in->changes = ph_take(b, p->nhold > 0 ? sizeof(ph_rest_change) * PH_KEPT_CHANGES : 0);
     in->step.last = ph_take_reals(b, p->nw);
     in->step.pivot = ph_take_ints(b, p->nw);
@@ -59,6 +60,7 @@ int ph_state_arrays(ph_instance *in, ph_array *out) {
     out[n++] = (ph_array){(double *)in->x_old, p->nx + 1 + p->na};
     out[n++] = (ph_array){(double *)in->u_old, p->nu * p->k};
     out[n++] = (ph_array){(double *)in->y_node, p->k > 1 ? p->nq * p->k : 0};
+    out[n++] = (ph_array){(double *)in->reach, p->schur ? p->ncomp : 0};
     out[n++] = (ph_array){(double *)in->step.last, p->nw};
     return n;
 }
@@ -145,6 +147,8 @@ size_t ph_lay_out(ph_instance *in, char *memory) {
     in->moved = ph_take_reals(b, in->model->step->ncomp);
     in->lost = ph_take_reals(b, in->model->step->ncomp);
     in->numerical = ph_take_reals(b, in->model->step->ncomp);
+    in->given = ph_take_reals(b, in->model->step->schur ? in->model->step->ncomp : 0);
+    in->in_play = ph_take_reals(b, in->model->step->schur ? in->model->step->ncomp : 0);
     in->energies = ph_take_reals(b, in->model->step->nq);
     in->means = ph_take_reals(b, in->model->step->nq);
     in->unspread = ph_take_reals(b, in->model->step->nhold > 0 ? in->model->step->nw : 0);

@@ -79,11 +79,12 @@ static int rests_fit(const ph_instance *in, const void *from, int changes) {
     return changes >= 0 && (n > 0 || changes == 0);
 }
 
-/* What may be set is finite, as it is when it is set. */
+/* What may be set is finite, as it is when it is set; so are energies. */
 static int values_fit(const ph_instance *in, const void *from) {
     const ph_plan *p = in->model->step;
     return ph_finite(place(in, from, in->table), p->nx + 1) && ph_finite(place(in, from, in->rest), p->nx) &&
-           ph_finite(place(in, from, in->u), p->nu * p->k) && ph_finite(place(in, from, in->p), p->np);
+           ph_finite(place(in, from, in->u), p->nu * p->k) && ph_finite(place(in, from, in->p), p->np) &&
+           ph_finite(place(in, from, in->reach), p->schur ? p->ncomp : 0);
 }
 
 const char *ph_state_fault(const ph_instance *in, const void *from) {
@@ -102,5 +103,5 @@ const char *ph_state_fault(const ph_instance *in, const void *from) {
     if (!pivots_fit(&in->step, place(in, from, in->step.pivot)) ||
         !pivots_fit(&in->instant, place(in, from, in->instant.pivot)))
         return "the pivots of a factorisation are not rows of the model";
-    return values_fit(in, from) ? NULL : "a state, an input or a parameter is not finite";
+    return values_fit(in, from) ? NULL : "a state, an input, a parameter or an energy is not finite";
 }

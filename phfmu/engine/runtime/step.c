@@ -20,6 +20,38 @@ static int solve(ph_instance *in, double h) {
     return PH_OK;
 }
 
+/* The same until no constraint at rest is needed; *called: some were. */
+static int solve_held(ph_instance *in, double h, int *called) {
+    for (;;) {
+        int status = solve(in, h);
+        if (status || !in->step.resting || !ph_rest_wake(in))
+            return status;
+        *called = 1;
+    }
+}
+
+/* Solves and weighs a part of length h. The Schur stepper ends its sweeps by how they contract, which may be
+ * luck, and near a loss of rank multipliers are so large that what is left of the constraints is energy: a
+ * step of it that the ledger would not let pass is solved again until updates are rounding. */
+static int solve_weighed(ph_instance *in, double h, int *called) {
+    for (int strict = 0;; strict = 1) {
+        int status;
+        in->step.strict = strict;
+        status = solve_held(in, h, called);
+        if (status) {
+            ph_explain(&in->step, status, &in->report);
+            return status;
+        }
+        if (ph_weigh(in, h)) {
+            in->report = (ph_report){.status = PH_NOT_FINITE, .row = -1, .column = -1};
+            return PH_NOT_FINITE;
+        }
+        if (!in->fast || strict || ph_closes(in))
+            return PH_OK;
+        in->count[PH_SCHUR]--;
+    }
+}
+
 /* Solves the part [from, from + weight] of the communication step [t, t+h]; of the state only the time and,
  * if it succeeds, the constraints that rest change. */
 static int try_part(ph_instance *in, double t, double h, double from, double weight) {
@@ -28,16 +60,7 @@ static int try_part(ph_instance *in, double t, double h, double from, double wei
     in->table[s->plan->nx] = t + h * from;
     ph_resample(in, from, weight, s->y + s->plan->nw);
     in->count[PH_SOLVES]++;
-    for (;;) {
-        status = solve(in, h * weight);
-        if (status || !s->resting || !ph_rest_wake(in))
-            break;
-        called = 1;
-    }
-    if (status)
-        ph_explain(s, status, &in->report);
-    else if (ph_weigh(in, h * weight))
-        in->report = (ph_report){.status = status = PH_NOT_FINITE, .row = -1, .column = -1};
+    status = solve_weighed(in, h * weight, &called);
     if (status) {
         in->report.spent = (int)(in->count[PH_ITERATIONS] - in->begun);
         in->report.time = t + h * from;

@@ -73,6 +73,7 @@ struct ph_system {
     int bare;    /* 1: factors without delta */
     int holds;   /* the factor is that of `kept` */
     int trusts;  /* Newton's method begins with it */
+    int strict;  /* the Schur stepper sweeps until updates are rounding */
     int empty;   /* row without entries at the last factorisation, or -1 */
     int iterations;
     ph_real update;
@@ -156,7 +157,7 @@ typedef struct ph_array {
     int n;
 } ph_array;
 
-#define PH_STATE_ARRAYS (9 + PH_NROW) /* see ph_state_arrays */
+#define PH_STATE_ARRAYS (10 + PH_NROW) /* see ph_state_arrays */
 
 /* Work space of directional derivatives of a step; x is NULL without tangents. */
 typedef struct ph_chain {
@@ -203,6 +204,7 @@ struct ph_instance {
     ph_real *u_old;          /* nu*k: inputs of the last step */
     ph_real *first;          /* nw: unknowns it began from, if it took more than one solve */
     ph_real *y_node;         /* nq*k: pair outputs at the nodes of the last step; none if k = 1 */
+    ph_real *reach;          /* ncomp if a Schur stepper may solve steps: most energy in play so far */
     ph_rest_change *changes; /* PH_KEPT_CHANGES if constraints may rest */
 
     /* Work space. */
@@ -215,6 +217,8 @@ struct ph_instance {
     ph_real *moved;     /* ncomp */
     ph_real *lost;      /* ncomp */
     ph_real *numerical; /* ncomp */
+    ph_real *given;     /* ncomp, as is the next one, if a Schur stepper may solve steps: supplied energy */
+    ph_real *in_play;   /* energy in play, see judge.h */
     ph_real *energies;  /* nq: of the pairs, inputs times outputs */
     ph_real *means;     /* nq: of their outputs */
     ph_real *unspread;  /* nw if constraints may rest: unknowns before ph_rest_spread */
@@ -240,6 +244,7 @@ int ph_trusts(const ph_head *head);
 void ph_measure_trust(ph_head *head, int most, int trusts, int iterations, int factored);
 int ph_finite(const double *values, int n);
 ph_truth ph_weigh(ph_instance *in, double h);
+ph_truth ph_closes(const ph_instance *in);
 void ph_accept(ph_instance *in, double h, double from, double weight);
 void ph_begin_step(ph_instance *in, double h);
 void ph_finish_step(ph_instance *in, double t);

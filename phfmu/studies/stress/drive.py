@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.audit.judge import DEFAULT_RTOL, EPS, FLOOR
+from phfmu.audit.judge import DEFAULT_RTOL, EPS, REACH_ULPS
 from phfmu.outcome.steps import balance
 from phfmu.terms.hidden import Level
 from phfmu.words import counted
@@ -90,7 +90,7 @@ def record(unit: Any, h: float, n: int, t0: float = 0.0, inputs: Array | None = 
     levels = np.array([c.level for c in model.checks])
     play = np.abs(r["energy"]).sum(axis=1) + np.abs(r["dissipated"]).sum(axis=1) + np.abs(r["pairs"]).sum(axis=1)
     play = np.maximum(
-        play, FLOOR * EPS / DEFAULT_RTOL * np.maximum.accumulate(np.maximum(play, np.abs(start["H"]).sum()))
+        play, REACH_ULPS * EPS / DEFAULT_RTOL * np.maximum.accumulate(np.maximum(play, np.abs(start["H"]).sum()))
     )
     gap = np.abs(balance(r["stored"], r["dissipated"], r["supplied"])).max(axis=1, initial=0.0)
     after = unit.counts

@@ -8,6 +8,7 @@
 #define ph_begin_step ph_wide_begin_step
 #define ph_book_nodes ph_wide_book_nodes
 #define ph_clear_ledger ph_wide_clear_ledger
+#define ph_closes ph_wide_closes
 #define ph_eval ph_wide_eval
 #define ph_eval_derivatives ph_wide_eval_derivatives
 #define ph_eval_h ph_wide_eval_h
@@ -274,6 +275,8 @@ unsigned ph_wide_solve(ph_wide *w, double t, double h, unsigned wanted, unsigned
     solved = in->schur ? sweep(w, h, wanted) : search(w, h, wanted, trusting, cost);
     if (solved)
         solved &= ~PH_BITS(ph_weigh(in, h));
+    if (solved && in->schur)
+        solved &= PH_BITS(ph_closes(in));
     *time = before;
     return solved;
 }

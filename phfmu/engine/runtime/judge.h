@@ -1,5 +1,6 @@
-/* The rule by which a ledger judges, the same for a run, for the file of one and for a sweep: judge.py works
- * with arrays what stands here for one number, and reads the constants from here. Energies in joule. */
+/* The rule by which a ledger judges, the same for a run, for the file of one, for a sweep and for a step that
+ * is to be accepted (ph_closes): judge.py works with arrays what stands here for one number, and reads the
+ * constants from here. Energies in joule. */
 #ifndef PH_JUDGE_H
 #define PH_JUDGE_H
 
@@ -8,10 +9,12 @@
 
 #include "real.h"
 
+/* What a residual may be of the energies in play in its step, unless the ledger is given another number. */
+#define PH_RTOL 1e-11
 /* Roundings of the largest energy in play so far that a residual may be: constraint forces do work of their
  * own that cancels; measured: 4 in networks of machines, 2e3 in the fast heavy top, whose first term covers
  * it 20 times. */
-#define PH_FLOOR 1024
+#define PH_REACH_ULPS 1024
 /* Roundings of what of H is not constant, and of what is summed twice. */
 #define PH_ULPS 64
 /* H is a sum of energies that may cancel. None is larger than it was at the start and all that has moved in
@@ -40,7 +43,8 @@ static inline ph_real ph_in_play(ph_real inside, ph_real stored, ph_real supplie
 /* What a residual may be in a step; `reach`: the most in play so far, the sum of the changes of H included;
  * `varying`: what of H is not constant, and of a relation what is in play in the network. */
 static inline ph_real ph_allowed(double rtol, ph_real in_play, ph_real reach, ph_real varying) {
-    return rtol * in_play + (PH_FLOOR * DBL_EPSILON * reach + PH_LEAST) + PH_ULPS * DBL_EPSILON * varying;
+    return rtol * in_play + (PH_REACH_ULPS * DBL_EPSILON * reach + PH_LEAST) +
+           PH_ULPS * DBL_EPSILON * varying;
 }
 
 /* What the sum of the residuals may be; `squares`: the sum of the squares of what the steps are allowed. */
