@@ -4,6 +4,7 @@ from phfmu.components.scenes.mechanical.bead import bead
 from phfmu.components.scenes.mechanical.bouncing_ball import bouncing_ball
 from phfmu.components.scenes.mechanical.clutch_engagement import clutch_engagement
 from phfmu.components.scenes.mechanical.oscillator import oscillator
+from phfmu.components.scenes.mechanical.panda import panda
 from phfmu.components.scenes.mechanical.robot_arm import robot_arm
 from phfmu.components.scenes.mechanical.speed_control import speed_control
 from phfmu.components.scenes.mechanical.stops import buffer, hard_stop
@@ -16,6 +17,7 @@ __all__ = [
     "clutch_engagement",
     "hard_stop",
     "oscillator",
+    "panda",
     "robot_arm",
     "speed_control",
     "two_point_control",
