@@ -134,6 +134,7 @@ LIBRARY: dict[str, tuple[str, str, str]] = {
     "oscillator": ("scene", _SM + "oscillator", "two masses and three springs, cut in three"),
     "drive": ("scene", _S + "drive", "DC motor, flexible shaft and load inertia"),
     "robot_arm": ("scene", _SM + "robot_arm", "robot arm UR5 that its motors carry, move and stop"),
+    "panda": ("scene", _SM + "panda", "robot arm Panda of seven joints, carried, moved and stopped"),
     "speed_control": ("scene", _SM + "speed_control", "rotor with PI speed control by signals, load step"),
     "smib": ("scene", _SE + "smib", "turbo generator at an infinite bus, torque step"),
     "smib_hydro": ("scene", _SE + "smib", "hydro generator at an infinite bus, torque step"),

@@ -31,6 +31,7 @@ from phfmu.components.scenes.mechanical import buffer as buffer
 from phfmu.components.scenes.mechanical import clutch_engagement as clutch_engagement
 from phfmu.components.scenes.mechanical import hard_stop as hard_stop
 from phfmu.components.scenes.mechanical import oscillator as oscillator
+from phfmu.components.scenes.mechanical import panda as panda
 from phfmu.components.scenes.mechanical import robot_arm as robot_arm
 from phfmu.components.scenes.mechanical import speed_control as speed_control
 from phfmu.components.scenes.mechanical import two_point_control as two_point_control

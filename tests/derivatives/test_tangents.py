@@ -58,7 +58,7 @@ def test_columns_are_the_differences_of_runs(name: str, order: int) -> None:
 LARGE = ("wecc240", "grid", "ieee39", "new_england")
 SCENES = [n for n, (kind, *_) in LIBRARY.items() if kind == "scene" and n not in LARGE]
 #: mechanisms whose start is assembled, which does not fit other parameters
-ASSEMBLED = ("engine", "robot_arm")
+ASSEMBLED = ("engine", "panda", "robot_arm")
 
 
 @pytest.mark.slow

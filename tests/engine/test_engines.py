@@ -116,7 +116,7 @@ def compare(name, k, n):
         # a meter takes no current, zero but for rounding, and an exciter passes on the rounding of the voltage 200 times
         metered = name in ("island", "smib_exciter")
         size = traded if "energy" in columns or (metered and block == "energy") else 1e-9 if metered else 0.0
-        if name in (*MECHANISMS, "engine", "ur5", "robot_arm"):
+        if name in (*MECHANISMS, "engine", "panda", "ur5", "robot_arm"):
             # angles, momenta and forces that stay zero, energies that cancel: zero but for rounding, on the bridge beside 400 N
             size = max(size, 1.0 if name == "rope_bridge" else 1e-4)
         assert relative(first, second, columns, size) <= FAR.get(name, 1e-11), block

@@ -32,6 +32,7 @@ WHOLE = {
         "hard_stop",
         "clutch_engagement",
         "six_pulse",
+        "panda",
         "robot_arm",
         "engine",
     ),

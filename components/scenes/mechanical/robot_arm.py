@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from phfmu import Event, Scene
+from collections.abc import Mapping
+
+from phfmu import PHDAE, Event, Scene
 from phfmu.components.mechanical.mechanisms.ur5 import ur5
 
 #: torques beside those that carry the arm at its start [N.m]
@@ -22,18 +24,22 @@ def robot_arm(*, t_go: float = 0.1, t_back: float = 0.35, t_rest: float = 0.6, s
     friction of the joints takes.
     """
     arm = ur5(damping=FRICTION, carried=True)
-    held = {p.name: float(p.start[0]) for p in arm.ports}  # type: ignore[index]
-    events = tuple(
-        Event(t, f"{name}.torque", held[name] + sign * push)
-        for t, sign in ((t_go, 1.0), (t_back, -1.0), (t_rest, 0.0))
-        for name, push in PUSHES.items()
-    )
     return Scene(
         "robot_arm",
         arm,
         stop=stop,
         step=2e-3,
-        events=events,
+        events=pushed(arm, PUSHES, (t_go, t_back, t_rest)),
         description="robot arm, carried, moved and stopped",
         shown=("shoulder_pan.angle", "elbow.angle", "wrist_2.angle", "flange", "elbow.torque"),
+    )
+
+
+def pushed(arm: PHDAE, pushes: Mapping[str, float], times: tuple[float, float, float]) -> tuple[Event, ...]:
+    """Torques [N.m] of motors beside those that they begin with: at three times [s] they come, turn round and go."""
+    held = {p.name: float(p.start[0]) for p in arm.ports}  # type: ignore[index]
+    return tuple(
+        Event(t, f"{name}.torque", held[name] + sign * push)
+        for t, sign in zip(times, (1.0, -1.0, 0.0), strict=True)
+        for name, push in pushes.items()
     )
