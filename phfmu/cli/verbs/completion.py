@@ -31,10 +31,10 @@ def complete(parser: Parser) -> None:
     """Answer the shell that asks, and leave."""
     from argcomplete import autocomplete
 
-    for verb in parser.verbs.values():
-        for action in verb._actions:
-            if action.dest == "target":
-                action.completer = targets
+    actions: list[Any] = [action for verb in parser.verbs.values() for action in verb._actions]
+    for action in actions:
+        if action.dest == "target":
+            action.completer = targets
     autocomplete(parser)
 
 
