@@ -17,8 +17,8 @@ TESTS = Path(__file__).parent
 
 #: from the ground up; a room may import those before it
 ROOMS = (
-    "listed_names", "words", "files", "processors", "interrupt", "html", "pick", "matching", "declare", "terms", "gradients",
-    "plan", "schemes", "schur",
+    "listed_names", "words", "files", "processors", "collector", "interrupt", "html", "pick", "matching", "declare", "terms",
+    "gradients", "plan", "schemes", "schur",
     "outcome", "events", "discretise", "engine", "checks", "signals", "results", "importers", "audit", "fmu",
     "network", "network.scene",
     "network.members", "network.interface", "network.impulses", "network.couplings", "network.as_unit",
