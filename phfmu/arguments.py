@@ -90,6 +90,8 @@ def _argument(p: inspect.Parameter, v: Variable | None, text: str, given: Mappin
         about.append("optional, absent unless given")
     if p.default is p.empty:
         about.append("must be given in Python")
+    elif p.name in given and given[p.name] != p.default:
+        about.append(f"{p.default!r} by default")
     value = given.get(p.name, "" if p.default is p.empty else p.default)
     return Argument(p.name, unit, "" if value is p.empty else repr(value), "; ".join(about))
 
