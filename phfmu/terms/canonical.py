@@ -74,7 +74,7 @@ def read(exprs: Sequence[ca.SX], locator: Locator, context: str, extra: Sequence
     found: dict[Value, dict[int, ca.SX]] = {}
     plain = _symbols(exprs)
     f = ca.Function("f", [], exprs, {"allow_free": True}) if plain is None else None
-    met = plain if f is None else f.free_sx()  # in the order of the operations that read them
+    met: Any = plain if f is None else f.free_sx()  # in the order of the operations that read them
     free = [locator.find(s, context) for s in met]
     for s, at in zip([*extra, *met], [*(locator.find(s, context) for s in extra), *free], strict=True):
         found.setdefault(at.kind, {}).setdefault(at.index, s)

@@ -125,7 +125,11 @@ def test_info_lists_the_arguments_with_units_values_and_what_is_optional(capsys:
     assert found[""] == ["arguments (phfmu run 'mass(m=..)'; in Python: from phfmu.components.mechanical import mass):"]
     assert found["k"] == ["N/m", "None", "optional, absent unless given"]
     assert found["d"][:2] == ["N.s/m", "0.5"] and found["q"] == ["m", "0.0"]
-    assert told("clearing_fault", capsys)["there"] == ["True", "False", "by default"]  # the library shows it where it is there
+    assert told("clearing_fault", capsys)["there"] == [
+        "True",
+        "False",
+        "by default",
+    ]  # the library shows it where it is there
     assert told("infinite_bus", capsys)["frequency"] == ["Hz", "60.0"]
     assert told("rl_line", capsys)["R"] == ["ohm", "0.02", "resistance per phase; must be given in Python"]
 

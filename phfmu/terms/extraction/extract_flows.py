@@ -42,7 +42,7 @@ def _rows(
 
 
 def _constant(entry: ca.SX | float) -> float | None:
-    return float(entry) if isinstance(entry, float) or entry.is_constant() else None
+    return float(entry) if not isinstance(entry, ca.SX) or entry.is_constant() else None
 
 
 def _targets(out: Terms, row: RowAt) -> list[tuple[RowAt, float]]:
