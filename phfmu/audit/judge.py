@@ -8,7 +8,7 @@ A step is measured against the energies in play in it and, as rounding, against 
 with the maximum over the run up to the step.  `moved` is the sum over the component's energies of |change|; V = max(|H0|, |H1|)
 without what of H is constant, to which energies that pass between the states of a term have their rounding.  A component
 of which no energy has moved yet is allowed ULPS eps of the sum of max P over all components besides.  What the steps of a
-run miss together may be RUN times the root of the sum of the squares of what they are allowed.
+run miss together may be DEVIATIONS times the root of the sum of the squares of what they are allowed.
 """
 
 import math
@@ -30,8 +30,8 @@ from phfmu.outcome.limits import defined
 
 EPS = float(np.finfo(float).eps)
 HEADER = Path(__file__).parent.parent / "engine" / "runtime" / "judge.h"
-DEFAULT_RTOL, REACH_ULPS, ULPS, PARTS, RUN, LEAST = (
-    defined(HEADER)[name] for name in ("RTOL", "REACH_ULPS", "ULPS", "PARTS", "RUN", "LEAST")
+DEFAULT_RTOL, REACH_ULPS, ULPS, PARTS, DEVIATIONS, LEAST = (
+    defined(HEADER)[name] for name in ("RTOL", "REACH_ULPS", "ULPS", "PARTS", "DEVIATIONS", "LEAST")
 )
 
 
@@ -58,7 +58,7 @@ class Account:
     @property
     def allowed(self) -> float:
         """The bound on the sum of the residuals of the run."""
-        return RUN * math.sqrt(max(self.squares.value, 0.0))
+        return DEVIATIONS * math.sqrt(max(self.squares.value, 0.0))
 
 
 class Judge:
@@ -281,7 +281,7 @@ class Judge:
                 (ViolationKind.GAP, ViolationKind.CHANGE),
             )
             found += self._in_run(ViolationKind.DRIFT, name, a.gap.value, allowed, *steps)
-        allowed, steps = RUN * math.sqrt(max(self.squares.value, 0.0)), ViolationKind.UNEXPLAINED
+        allowed, steps = DEVIATIONS * math.sqrt(max(self.squares.value, 0.0)), ViolationKind.UNEXPLAINED
         return [*found, *self._in_run(ViolationKind.UNEXPLAINED_RUN, "network", unexplained, allowed, steps)]
 
     def _in_run(

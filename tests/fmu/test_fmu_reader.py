@@ -124,6 +124,18 @@ def test_a_serialized_state_continues_in_a_second_instance(
 
 
 @pytest.mark.parametrize("version", VERSIONS)
+def test_a_library_that_cannot_be_loaded_leaves_the_working_directory(circuits, tmp_path: Path, version: str) -> None:
+    """FMPy changes to the folder of the library to load it."""
+    broken, here = tmp_path / "broken.fmu", Path.cwd()
+    with zipfile.ZipFile(circuits[1][version]) as whole, zipfile.ZipFile(broken, "w") as archive:
+        for name in whole.namelist():
+            archive.writestr(name, b"no library" if name.startswith("binaries/") else whole.read(name))
+    with pytest.raises(FMUError, match="load shared library"):
+        FMUInstance(broken)
+    assert Path.cwd() == here
+
+
+@pytest.mark.parametrize("version", VERSIONS)
 def test_reset_starts_again(circuits, version: str) -> None:
     with FMUInstance(circuits[1][version], starts={"psi": 0.3, "a": 4.0}) as unit:
         start = bits(unit)

@@ -10,7 +10,7 @@ import pytest
 
 import phfmu as ph
 from phfmu import PHDAE, Monolithic, NativeInstance, Options, Scene, block, energy, run, sweep
-from phfmu.audit.judge import DEFAULT_RTOL, HEADER, PARTS, REACH_ULPS, RUN, ULPS
+from phfmu.audit.judge import DEFAULT_RTOL, DEVIATIONS, HEADER, PARTS, REACH_ULPS, ULPS
 from phfmu.components.library import GRIDS, LIBRARY, build
 from phfmu.sweeps.design import Design
 from phfmu.sweeps.general_runs import GeneralRuns, of_model
@@ -112,7 +112,7 @@ def test_the_table_tells_the_larger_of_both() -> None:
 
 
 def test_the_constants_of_the_rule_stand_in_one_header() -> None:
-    assert (DEFAULT_RTOL, REACH_ULPS, ULPS, PARTS, RUN) == (1e-11, 1024.0, 64.0, 4.0, 4.0)
+    assert (DEFAULT_RTOL, REACH_ULPS, ULPS, PARTS, DEVIATIONS) == (1e-11, 1024.0, 64.0, 4.0, 4.0)
     assert all(
         f"PH_{name} {value:g}\n" in HEADER.read_text()
         for name, value in (
@@ -120,6 +120,6 @@ def test_the_constants_of_the_rule_stand_in_one_header() -> None:
             ("REACH_ULPS", REACH_ULPS),
             ("ULPS", ULPS),
             ("PARTS", PARTS),
-            ("RUN", RUN),
+            ("DEVIATIONS", DEVIATIONS),
         )
     )

@@ -39,7 +39,7 @@ def headers() -> dict[str, Path]:
 
 
 def _summing() -> dict[str, Path]:
-    return driver_sources("audit") | {name: RUNTIME / name for name in ("real.h", "judge.h")}
+    return driver_sources("audit") | {name: RUNTIME / name for name in ("real.h", "judge.h", "names.h")}
 
 
 #: the sources of the libraries that all models have in common, by name

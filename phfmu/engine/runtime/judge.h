@@ -7,6 +7,7 @@
 #include <float.h>
 #include <math.h>
 
+#include "names.h"
 #include "real.h"
 
 /* What a residual may be of the energies in play in its step, unless the ledger is given another number. */
@@ -22,7 +23,7 @@
 #define PH_PARTS 4
 /* The sum over a run may be this many times the root of the sum of the squares of what its steps are allowed.
  */
-#define PH_RUN 4
+#define PH_DEVIATIONS 4
 /* What is allowed always: of energies below it squares, and in the end they themselves, have no digits left.
  */
 #define PH_LEAST 1e-140
@@ -49,7 +50,7 @@ static inline ph_real ph_allowed(double rtol, ph_real in_play, ph_real reach, ph
 
 /* What the sum of the residuals may be; `squares`: the sum of the squares of what the steps are allowed. */
 static inline ph_real ph_allowed_in_run(ph_real squares) {
-    return PH_RUN * PH_REAL_SQRT(squares);
+    return PH_DEVIATIONS * PH_REAL_SQRT(squares);
 }
 
 /* How far H may be from what is booked of it, beside what is allowed in the step; `largest`: |H| so far,

@@ -6,6 +6,7 @@ which they claim all the same.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -48,6 +49,13 @@ class Lacking:
     dll: Any
     instanceName: str
     absent: tuple[str, ...] = ()
+
+    def __init__(self, **common: Any):
+        here = os.getcwd()
+        try:
+            super().__init__(**common)
+        finally:
+            os.chdir(here)  # FMPy stays in the folder of a library that cannot be loaded
 
     def _loadFunctions(self) -> None:
         prefix = type(self).__name__[:4].lower().replace("fmu", "fmi")
