@@ -53,6 +53,8 @@ def test_rate_equals_that_of_a_small_step(compiler: None, name: str) -> None:
         with pytest.raises(ValueError, match="zeros on its diagonal"):
             reduced(d)
         return
+    if name == "panda":  # falls, where its motors would hold it at rest
+        d = d.with_starts({n: 0.0 for p in d.ports for n in p.input_names()})
     system = reduced(d, gamma=0.0)
     instance = NativeInstance(build_model(d))
     x0, h = instance.x, 1e-6
