@@ -9,8 +9,8 @@ from typing import Any
 
 import casadi as ca
 
-from phfmu.declare.copies import copied
 from phfmu.declare.entries.coefficients import coefficient
+from phfmu.declare.entries.copies import copied
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.port import Port
 from phfmu.declare.variable import Variable, _sx

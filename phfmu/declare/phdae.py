@@ -18,8 +18,8 @@ from typing import Any, Protocol
 import casadi as ca
 
 from phfmu.declare.block import Block
-from phfmu.declare.copies import copied
 from phfmu.declare.energy import ClosedPair, Energy, EnergyKind, resolve_kind
+from phfmu.declare.entries.copies import copied
 from phfmu.declare.error import DeclarationError, Problem
 from phfmu.declare.event import StateEvent, renamed
 from phfmu.declare.holonomic import Holonomic

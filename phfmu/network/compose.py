@@ -17,7 +17,7 @@ import casadi as ca
 
 from phfmu.collector import resting
 from phfmu.declare.block import skew
-from phfmu.declare.copies import copied
+from phfmu.declare.entries.copies import copied
 from phfmu.declare.event import StateEvent
 from phfmu.declare.observable import Observable
 from phfmu.declare.phdae import PHDAE

@@ -8,7 +8,7 @@ import pytest
 
 from phfmu import PHDAE, DeclarationError, build_model, energy, state
 from phfmu.components.electrical import rlc_load
-from phfmu.declare.copies import copied
+from phfmu.declare.entries.copies import copied
 
 
 def test_a_copy_has_the_fields_of_the_original_but_for_those_changed():
