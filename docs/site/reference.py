@@ -108,7 +108,7 @@ class Reference(SphinxDirective):
 
     @staticmethod
     def of_room(room: str) -> dict[str, str]:
-        owners = phfmu._OWNER
+        owners = vars(phfmu)["_owner"]
         return {name: owners[name] for name in owners if owners[name].split(".")[1] == room}
 
     @staticmethod
