@@ -22,6 +22,7 @@ from docutils import nodes
 from sphinx.util.docutils import SphinxDirective
 
 import phfmu
+from phfmu.listed_names import listed
 
 #: what tells a list with aligned columns from prose: an indented line, or two blanks that do not end a sentence
 ALIGNED = re.compile(r"^\s|(?<![.?!]) {2,}\S")
@@ -108,7 +109,7 @@ class Reference(SphinxDirective):
 
     @staticmethod
     def of_room(room: str) -> dict[str, str]:
-        owners = vars(phfmu)["_owner"]
+        owners = listed(f"{phfmu.__file__}i")
         return {name: owners[name] for name in owners if owners[name].split(".")[1] == room}
 
     @staticmethod

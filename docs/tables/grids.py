@@ -110,10 +110,15 @@ def _drift(point: NetworkPoint, k: int, step: float) -> tuple[float, str]:
     return float(drift[last]), f"`{last}`"
 
 
-def _nine() -> Any:
-    """The nine buses in phase coordinates, integrated by DOP853: the same that the tests compare with."""
+def _of_tests(module: str) -> Any:
+    """A module of the tests, which compare with the same references."""
     sys.path.insert(0, str(ROOT))
-    return import_module("tests.components.test_nine_buses")
+    return import_module(f"tests.{module}")
+
+
+def _nine() -> Any:
+    """The nine buses in phase coordinates, integrated by DOP853."""
+    return _of_tests("components.test_nine_buses")
 
 
 def grid_fault_orders() -> Made:
@@ -173,8 +178,7 @@ def grid_clearing() -> Made:
         for clear in CLEARED:
             r = simulated(new_england(t_clear=clear, stop=FIRST_SWINGS), k, 1e-4, ["gen*.theta"], EACH)
             rows.append([f"order {2 * k}", *_synchronism(clear, swing(r))])
-    sys.path.insert(0, str(ROOT))
-    swings = import_module("tests.reference.phasor_reference").Swings(public_grid("new_england"))
+    swings = _of_tests("reference.phasor_reference").Swings(public_grid("new_england"))
     for clear in (0.2175, 0.22):
         turned = swings.after(16, FAULT[0], clear, np.arange(clear, FIRST_SWINGS, EACH))
         found = {f"gen{b}": a for b, a in zip(swings.buses, turned, strict=True)}

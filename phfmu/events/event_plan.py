@@ -23,7 +23,7 @@ from phfmu.plan.address import READ, Address, row
 from phfmu.plan.plan import Floats, Group, Ints, Kernel, Powers
 from phfmu.plan.spec import Spec, build
 from phfmu.terms.canonical import Locator, make_term, member
-from phfmu.terms.located import Row, RowAt
+from phfmu.terms.located import Row, RowAt, ValueAt
 from phfmu.terms.rows import costate_symbols, costates, flow_expressions
 from phfmu.terms.term import CONSTRAINT, Term, TermKind, Terms
 from phfmu.terms.velocities import velocity_of
@@ -82,17 +82,17 @@ def event_plan(terms: Terms) -> Callable[[Polynomial], EventPlan]:
     events = model.state_events
     index = {n: i for i, n in enumerate(n for v in model.parameters for n in v.names())}
     _require_modes(model, index)
-    guards = _guards(terms)
-    groups = _groups(terms, guards)
+    guards, locator = _guards(terms), Locator(model, terms.pairs)
+    groups = _groups(terms, locator, guards)
     solves = any((g.yi < terms.na).any() for g in groups)
-    rates = _rates(terms, guards)
+    rates = _rates(terms, locator, guards)
     return partial(
         EventPlan,
         tuple(e.guard.name for e in events),
         np.array([e.guard.direction for e in events], np.int8),
         np.array([e.guard.nominal for e in events], float),
         tuple(groups),
-        tuple(_groups(terms, rates)),
+        tuple(_groups(terms, locator, rates)),
         np.array([i in rates for i in guards], np.int8),
         int(solves),
         np.array([_owner(terms.members, e) for e in events], np.int32),
@@ -152,10 +152,9 @@ def _guards(terms: Terms) -> dict[int, tuple[str, ca.SX]]:
     return dict(enumerate(zip((label for label, _ in given), at_instant(terms, given), strict=True)))
 
 
-def _groups(terms: Terms, rows: Mapping[int, tuple[str, ca.SX]]) -> list[Group]:
+def _groups(terms: Terms, locator: Locator, rows: Mapping[int, tuple[str, ca.SX]]) -> list[Group]:
     """Kernels of expressions at an instant, by the number of their row; equal ones are instances of one."""
-    locator, found = Locator(terms.model, terms.pairs), list[tuple[Term, Spec]]()
-    specs: dict[tuple, Spec] = {}
+    specs, found = dict[tuple, Spec](), list[tuple[Term, Spec]]()
     for i, (label, expr) in rows.items():
         term = make_term(GUARD, {"f": expr}, locator, label, rows=[RowAt(Row.OBSERVABLE, i)])
         spec = specs.get(term.key) or specs.setdefault(term.key, _spec(term))
@@ -163,7 +162,7 @@ def _groups(terms: Terms, rows: Mapping[int, tuple[str, ca.SX]]) -> list[Group]:
     return [_table(terms, spec, [t for t, s in found if s is spec]) for spec in specs.values()]
 
 
-def _rates(terms: Terms, guards: Mapping[int, tuple[str, ca.SX]]) -> dict[int, tuple[str, ca.SX]]:
+def _rates(terms: Terms, locator: Locator, guards: Mapping[int, tuple[str, ca.SX]]) -> dict[int, tuple[str, ca.SX]]:
     """d guard / dt = (d guard / d x) f + d guard / d t, for guards of states whose rates f are at hand.
 
     Not at hand are the rates of algebraic variables, of states with a block of E, of those that forces of holonomic constraints
@@ -172,34 +171,32 @@ def _rates(terms: Terms, guards: Mapping[int, tuple[str, ca.SX]]) -> dict[int, t
     """
     if not guards:
         return {}
-    model, z = terms.model, costate_symbols(terms.model)
     inputs = ca.vertcat(ca.SX(0, 1), *(p.port.u[p.j] for p in terms.pairs))
-    f = flow_expressions(terms, z, inputs)[0]
+    f = ca.vertsplit(flow_expressions(terms, costate_symbols(terms.model), inputs)[0])
     velocity = velocity_of(terms) if terms.of(CONSTRAINT) else {}
     unknown = set(terms.with_descriptor()) | {velocity[i] for t in terms.of(CONSTRAINT) for i in t.index[Value.STATE]}
-    hidden = {z[i].element_hash() for i in terms.solved_costates()}
-    algebraic = {s.element_hash() for v in model.algebraics for s in ca.vertsplit(v.sx)}
-    flow = dict(enumerate(ca.vertsplit(f)))
-    place = {s.element_hash(): i for i, s in enumerate(s for v in model.states for s in ca.vertsplit(v.sx))}
+    hidden = {ValueAt(Value.COSTATE, i) for i in terms.solved_costates()}
     known: dict[int, ca.SX] = {}
-    for i, (_, expr) in guards.items():
-        own = {place[h]: s for h, s in _symbols(expr).items() if h in place}
-        read = sorted(own)
-        slope = ca.jacobian(expr, ca.vertcat(ca.SX(0, 1), *(own[j] for j in read)))
-        rate = ca.mtimes(slope, ca.vertcat(ca.SX(0, 1), *(flow[j] for j in read))) + ca.jacobian(expr, time)
-        if not ({read[c] for c in slope.sparsity().get_triplet()[1]} & unknown or _symbols(rate).keys() & hidden):
+    for i, (label, expr) in guards.items():
+        own = {at.index: s for at, s in _read(locator, label, expr).items() if at.kind is Value.STATE}
+        states = sorted(own)
+        slope = ca.jacobian(expr, ca.vertcat(ca.SX(0, 1), *(own[j] for j in states)))
+        rate = ca.mtimes(slope, ca.vertcat(ca.SX(0, 1), *(f[j] for j in states))) + ca.jacobian(expr, time)
+        moved = {states[c] for c in slope.sparsity().get_triplet()[1]}
+        if not (moved & unknown or _read(locator, label, rate).keys() & hidden):
             known[i] = ca.densify(rate)
     rates = at_instant(terms, [(guards[i][0], rate) for i, rate in known.items()])
     return {
         i: (guards[i][0], rate)
         for i, rate in zip(known, rates, strict=True)
-        if not rate.is_constant() and not (_symbols(guards[i][1]).keys() | _symbols(rate).keys()) & algebraic
+        if not rate.is_constant()
+        and all(at.kind is not Value.ALGEBRAIC for e in (guards[i][1], rate) for at in _read(locator, guards[i][0], e))
     }
 
 
-def _symbols(expr: ca.SX) -> dict[int, ca.SX]:
-    """The symbols of an expression by their hashes."""
-    return {s.element_hash(): s for s in ca.symvar(expr)}
+def _read(locator: Locator, label: str, expr: ca.SX) -> dict[ValueAt, ca.SX]:
+    """The symbols of an expression by their places."""
+    return {locator.find(s, label): s for s in ca.symvar(expr)}
 
 
 def _spec(term: Term) -> Spec:

@@ -52,14 +52,17 @@ def find(key: str, ending: str) -> Path | None:
 
 def whole(folder: Path, ending: str) -> Path | None:
     """The library of a folder outside the cache whose content is what its name says."""
-    sound = (p for p in folder.glob(f"*{ending}") if hashlib.sha256(p.read_bytes()).hexdigest() == p.stem)
-    return next(sound, None)
+    return next(filter(_is_whole, folder.glob(f"*{ending}")), None)
+
+
+def _is_whole(path: Path) -> bool:
+    return hashlib.sha256(path.read_bytes()).hexdigest() == path.stem
 
 
 def _sound(folder: Path, ending: str) -> Iterator[Path]:
     with suppress(OSError):
         for path in sorted(folder.glob(f"*{ending}")):
-            if trust.distrust_one(path) is None and hashlib.sha256(path.read_bytes()).hexdigest() == path.stem:
+            if trust.distrust_one(path) is None and _is_whole(path):
                 yield path
             else:
                 path.unlink()

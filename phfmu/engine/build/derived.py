@@ -43,9 +43,7 @@ def _trial(row: Ints, colptr: Ints, order: Ints, pivot_row: Ints) -> tuple[int, 
     n = len(order)
     if n <= 64:
         return n * n, n * n, 0
-    planned = np.array_equal(
-        np.sort(pivot_row), np.arange(n)
-    )  # else the pivots that are missing are found in the matrix
+    planned = np.array_equal(np.sort(pivot_row), np.arange(n))  # else those that are missing are found in the matrix
     trial = permuted_entries(row, np.repeat(np.arange(n), np.diff(colptr)), order, pivot_row if planned else None)
     return min(4 * trial.total + n, n * n), trial.total, trial.multiplications
 
