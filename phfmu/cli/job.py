@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from phfmu.fmu.importer.unit_file import UnitFile
     from phfmu.network.couplings.choice.apart import Apart
     from phfmu.network.couplings.choice.named import Named
-    from phfmu.network.couplings.signals.held_signals import SignalExchange
+    from phfmu.network.couplings.signals.sampled_signals import SignalExchange
     from phfmu.network.couplings.stepper import Stepper
     from phfmu.network.members.member import Member
     from phfmu.network.members.rollback import Rollback
@@ -299,7 +299,7 @@ def apart(
 
 def _kept(members: _Members, exchange: SignalExchange | None) -> tuple[float, list[str]]:
     """The order that the members keep together at most, and which of them take held inputs; `exchange`: of held signals."""
-    from phfmu.network.couplings.signals.held_signals import ORDER_OF_EVENTS, ORDERS
+    from phfmu.network.couplings.signals.sampled_signals import ORDER_OF_EVENTS, ORDERS
 
     network, coupling, whole = members.network, members.coupling, members.whole
     of_signals = min(inf if exchange is None else ORDERS[exchange], ORDER_OF_EVENTS if whole.events_by_signals else inf)

@@ -18,7 +18,7 @@ from phfmu.network.couplings.choice.auto import choose
 from phfmu.network.couplings.gauss_seidel import GaussSeidel
 from phfmu.network.couplings.jacobi import Jacobi
 from phfmu.network.couplings.newton import newton
-from phfmu.network.couplings.signals.held_signals import SignalExchange
+from phfmu.network.couplings.signals.sampled_signals import SignalExchange
 from phfmu.network.couplings.signals.signal_growth import SignalGrowth
 from phfmu.network.members.fmu_member import FMUMember
 from phfmu.network.wires import Wire

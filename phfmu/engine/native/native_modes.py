@@ -21,7 +21,7 @@ from phfmu.engine.record import Grid
 from phfmu.events.modes import Mode, most_held
 from phfmu.events.switch_tables import mode_rows, switch_tables
 from phfmu.outcome.status import EventRefused, Status
-from phfmu.outcome.steps import Happened, Landed
+from phfmu.outcome.steps import EventRecord, Landed
 
 ROWS = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p)
 MOST = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int)
@@ -131,7 +131,7 @@ class NativeModes:
         """Its steps are those of others from now on, in each mode."""
         self._steps = steps
 
-    def to(self, t: float, end: float, changed: bool, pause: bool) -> Iterator[tuple[float, float, Happened | None]]:
+    def to(self, t: float, end: float, changed: bool, pause: bool) -> Iterator[tuple[float, float, EventRecord | None]]:
         """The lent steps and events in [t, end], after those before them; see `one_by_one`."""
         lib, room = self._made.lib, self.room(1, ())
         self.push()
@@ -149,11 +149,11 @@ class NativeModes:
 
         return one_by_one(room, take, pause)
 
-    def step(self, t: float, h: float, parts: int) -> tuple[Happened, ...]:
+    def step(self, t: float, h: float, parts: int) -> tuple[EventRecord, ...]:
         """A communication step in `parts` equal internal steps, told as one; the events in it."""
         lib = self._made.lib
         lib.ph_modes_begin(self._in, t, h, parts)
-        room, found = self._one, list[Happened]()
+        room, found = self._one, list[EventRecord]()
         room.out.done = 0
         while not room.out.done:
             self.push()

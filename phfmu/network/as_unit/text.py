@@ -42,7 +42,7 @@ _OWN: dict[str, set[str]] = {
 
 
 @dataclass
-class Tables:
+class TableText:
     """Text of the tables, and the memory that is laid out for what is written to (bytes)."""
 
     arrays: list[str] = field(default_factory=list)
@@ -114,7 +114,7 @@ def _network_text(
     step: float,
     together: Landers | None,
 ) -> str:
-    tables, rows = Tables(), []
+    tables, rows = TableText(), []
     externs = ""
     shares, natives = _filled(master, "ph_share"), iter(_filled(master, "ph_native"))
     for i, (share, member, port) in enumerate(zip(shares, members, ports, strict=True)):
@@ -204,7 +204,7 @@ def _inside(i: int, names: Sequence[str]) -> str:
     )
 
 
-def _held(tables: Tables, master: Master) -> str:
+def _held(tables: TableText, master: Master) -> str:
     """Fields of the signals that are held over steps, if there are any."""
     for values in _filled(master, "ph_held"):
         own, rooms = tables.struct("ph_held", "held", {**values, "row": np.zeros(values["n"])})
@@ -219,7 +219,7 @@ def _rules(rules: Mapping[str, Any]) -> str:
     return f"{whole}, .repeated = {number(float(rules['repeated']))}"
 
 
-def _memory(tables: Tables, master: Master) -> str:
+def _memory(tables: TableText, master: Master) -> str:
     """Fields of the memory of the solver, if it has one."""
     kind = f"ph_{master.solver}"
     for values in _filled(master, kind):

@@ -16,18 +16,18 @@ from phfmu.interrupt import Interrupted
 from phfmu.network.couplings.acceptance import HALVED
 from phfmu.network.couplings.coupling import AllSteps, Coupling, Solution, Step, Unconverged, solves_rows
 from phfmu.network.couplings.growth import Growth
+from phfmu.network.couplings.junction_works import JunctionWorks
 from phfmu.network.couplings.landing.landings import landings
 from phfmu.network.couplings.newton import Newton, newton
 from phfmu.network.couplings.signals.agreed_signals import AgreedSignals, SignalsApart
-from phfmu.network.couplings.signals.held_signals import HeldSignals, SignalExchange
+from phfmu.network.couplings.signals.sampled_signals import SampledSignals, SignalExchange
 from phfmu.network.couplings.signals.signal_growth import SignalGrowth
 from phfmu.network.couplings.unconverged import Accepting, Halving, in_halves, plain
-from phfmu.network.couplings.works import Works
 from phfmu.network.impulses.jumps_apart import JumpsApart
-from phfmu.network.interface.end_sums import EndSums
+from phfmu.network.interface.coupled_members import CoupledMembers
 from phfmu.network.interface.followed import Followed
 from phfmu.network.interface.instant import Instant
-from phfmu.network.interface.joined import Joined
+from phfmu.network.interface.junction_values import JunctionValues
 from phfmu.network.interface.whole_columns import WholeColumns
 from phfmu.network.members.engine_member import EngineMember
 from phfmu.network.members.member import Member
@@ -66,7 +66,7 @@ class Coupled:
         self,
         network: Network,
         members: list[Member],
-        coupling: Coupling | Callable[[Joined], Coupling] = newton,
+        coupling: Coupling | Callable[[CoupledMembers], Coupling] = newton,
         threads: int | None = None,
         signals: SignalExchange = "extrapolated",
     ):
@@ -74,7 +74,7 @@ class Coupled:
         self.made_by = coupling
         self._threads, self.instead = threads, network.to_compose
         self._signals_are: SignalExchange = signals
-        self.joined = Joined(network, members)
+        self.joined = CoupledMembers(network, members)
         self.coupling = coupling(self.joined) if callable(coupling) else coupling
         closes = self.coupling.closes and not self.joined.put_off and not self.joined.repeated
         self._growth = None if closes else Growth(self.joined)
@@ -85,15 +85,15 @@ class Coupled:
         self._masters: dict[bytes, Master] = {}
         self._mode = b""
         self.solves_rows = solves_rows(inner)
-        self._works = Works(self.joined, self._exchange, self.solves_rows)
+        self._works = JunctionWorks(self.joined, self._exchange, self.solves_rows)
         self.booking = replace(self.joined.booking, loose=not closes, parts=self._works.keys)
         at_nodes = self._exchange.wires if self._exchange else ()
-        self._signals = HeldSignals(self.joined, at_nodes, extrapolated=signals != "held")
+        self._signals = SampledSignals(self.joined, at_nodes, extrapolated=signals != "held")
         can = self.coupling.repeats and not self.joined.put_off and self._signals.any_held
         self._agreed = AgreedSignals(self.joined, self._signals) if signals.startswith("agreed") and can else None
         self._apart = SignalsApart(self._signals)
         self._grown = SignalGrowth(self._signals.held)
-        self._sums = EndSums(self.joined)
+        self._sums = JunctionValues(self.joined)
         self._jumps = JumpsApart(self.joined, self._sums)
         #: steps are to tell the unknowns of the members that engines step
         self.unknowns_told = False
@@ -558,7 +558,7 @@ class Coupled:
         members: list[Member] = [m.companion(scheme) for m in self.joined.members if isinstance(m, EngineMember)]
         around = type(self.coupling) if isinstance(self.coupling, Halving | Accepting) else None
 
-        def coupling(joined: Joined) -> Coupling:
+        def coupling(joined: CoupledMembers) -> Coupling:
             return newton(joined) if around is None else around(newton(joined))
 
         found = Coupled(self.joined.network, members, coupling, self._threads, self._signals_are)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from phfmu.network.interface.joined import Joined
+from phfmu.network.interface.coupled_members import CoupledMembers
 from phfmu.network.network import Network
 from phfmu.words import meant
 
@@ -26,7 +26,7 @@ class GaussSeidel:
         """The sequence that was asked for, or the usual one; ValueError if it is not one of the members."""
         return usual_sequence(network) if sequence is None else complete(sequence, network)
 
-    def groups(self, joined: Joined) -> list[list[int]]:
+    def groups(self, joined: CoupledMembers) -> list[list[int]]:
         """Places of members among all, in the order in which they step; ValueError if the sequence is not one of the members."""
         at = {m.name: i for i, m in enumerate(joined.members)}
         return [[at[name]] for name in self.sequence_of(joined.network, self._sequence)]

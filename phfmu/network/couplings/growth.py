@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.network.interface.joined import Joined
-from phfmu.network.members.stepped_last import POOR
+from phfmu.network.interface.coupled_members import CoupledMembers
+from phfmu.network.members.predicted_member import POOR
 from phfmu.outcome.status import Status, StepFailure
 
 Array = NDArray[np.float64]
@@ -22,7 +22,7 @@ class Growth:
 
     CARRIED = ("known", "had")
 
-    def __init__(self, joined: Joined):
+    def __init__(self, joined: CoupledMembers):
         self._joined = joined
         ports = joined.booking.ports
         self._outer = [i for i, p in enumerate(ports) if p.junction is None]

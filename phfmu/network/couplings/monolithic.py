@@ -20,10 +20,10 @@ from phfmu.network.couplings.stepper import Landing
 from phfmu.network.impulses.projections import Projections
 from phfmu.network.members.columns import Columns, booking
 from phfmu.network.members.consistent import require_consistent
-from phfmu.network.members.happenings import Happenings
+from phfmu.network.members.event_texts import EventTexts
 from phfmu.network.members.inputs import Inputs
 from phfmu.outcome.status import StepFailure
-from phfmu.outcome.steps import LEDGER, Happened, Landed, StepEvent, Steps
+from phfmu.outcome.steps import LEDGER, EventRecord, Landed, StepEvent, Steps
 from phfmu.schemes.scheme import Scheme
 from phfmu.signals import SignalKind, labels
 
@@ -225,7 +225,7 @@ class Monolithic:
 
     def landings(self, instance: Any, before: Array, parts: Iterable[Landed]) -> Iterator[Landing]:
         """What the instance has landed, in the columns of a run; `before`: its row at the start."""
-        words = Happenings(self.model)
+        words = EventTexts(self.model)
         for part in parts:
             steps, happened = None, part.happened
             if part.rows:
@@ -234,7 +234,7 @@ class Monolithic:
             before = before if happened is None else happened.signals
             yield part.t, part.h, steps, row
 
-    def _told(self, words: Happenings, happened: Happened) -> StepEvent:
+    def _told(self, words: EventTexts, happened: EventRecord) -> StepEvent:
         told = words.told(happened)
         return replace(told, energy=self._by_component(told.energy), lost=self._by_component(told.lost))
 

@@ -23,8 +23,8 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from phfmu.network.interface.exchange import Exchange
-from phfmu.network.interface.joined import Joined
+from phfmu.network.interface.coupled_members import CoupledMembers
+from phfmu.network.interface.unknowns import InterfaceUnknowns
 
 Array = NDArray[Any]
 
@@ -51,13 +51,13 @@ class Newton:
     #: of held values
     order = 2
 
-    def __init__(self, exchange: Exchange | None = None):
+    def __init__(self, exchange: InterfaceUnknowns | None = None):
         self.exchange = exchange
         if exchange is not None:
             self.order = 2 * int(exchange.counts.min(initial=exchange.counts.max(initial=1)))
 
 
-def newton(joined: Joined) -> Newton:
+def newton(joined: CoupledMembers) -> Newton:
     """The coupling with the most that the members offer, which may be one held value each."""
-    exchange = Exchange(joined)
+    exchange = InterfaceUnknowns(joined)
     return Newton() if exchange.held and not exchange.whole else Newton(exchange)

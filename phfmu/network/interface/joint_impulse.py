@@ -114,17 +114,17 @@ class UnitParty:
 
 
 @dataclass(frozen=True)
-class Place:
+class PartyPlace:
     """The place of a party: its ports by the impulses a between members (ports x a), and its first component among all."""
 
     at: Array
     component: int
 
 
-class Joint:
+class ImpulseSystem:
     """The columns of all, in the order jumps of all, a, constraints of all; energies of all `components` (rows of c)."""
 
-    def __init__(self, parties: Sequence[Party], places: Sequence[Place]):
+    def __init__(self, parties: Sequence[Party], places: Sequence[PartyPlace]):
         self._parties, self._maps = parties, list[Array]()
         first = [p.columns() for p in parties]
         jumps = [len(c.e) for c in first]

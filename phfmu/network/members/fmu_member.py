@@ -24,7 +24,7 @@ from phfmu.signals import CONSTANT, ENERGY, HAPPENED, JUMPED, SignalKind, port_e
 from phfmu.words import counted
 
 
-class UnitHappenings:
+class UnitEventTexts:
     """Changes of `energy.events` and `events.*` over a step; nothing of units without them.  `found`: of the last step."""
 
     def __init__(self, unit: FMUInstance, name: str):
@@ -124,7 +124,7 @@ class FMUMember:
         self._moved = False
         more = np.ones(self.nu - unit.nu)
         self.input_sign = np.append(unit.input_sign, more)
-        self._happened = UnitHappenings(unit, name)
+        self._happened = UnitEventTexts(unit, name)
         self.nominal = np.append(
             np.abs(unit.input_sign) * np.array([unit.variable(n).nominal for n in unit.inputs]), more
         )
@@ -349,7 +349,7 @@ class FMUMember:
         return book
 
     @property
-    def events_told(self) -> UnitHappenings:
+    def events_told(self) -> UnitEventTexts:
         """What it tells of events within its steps."""
         return self._happened
 

@@ -10,8 +10,8 @@ from phfmu.fmu.importer.reader import FMUInstance
 from phfmu.fmu.importer.unit_file import UnitFile
 from phfmu.network.members.fmu_member import FMUMember
 from phfmu.network.members.member import Member
+from phfmu.network.members.predicted_member import PredictedMember
 from phfmu.network.members.rollback import WAYS, Rollback, response, tells_late, try_rollback
-from phfmu.network.members.stepped_last import SteppedLast
 
 LAST = "it is stepped last, against a predicted response; what that misses is booked at its junctions"
 LATE = (
@@ -52,6 +52,6 @@ def unit_member(name: str, file: UnitFile, h: float, found: Rollback | None = No
     notes += [f"{name}: {line}" for line in unit.lacking]
     notes += [f"{name}: {LATE}"] if late else []
     if answer is not None and found is not None:
-        return SteppedLast(FMUMember(name, unit), h, answer), [*notes, f"{name}: {found.words}; {LAST}"]
+        return PredictedMember(FMUMember(name, unit), h, answer), [*notes, f"{name}: {found.words}; {LAST}"]
     notes += [f"{name}: {found.words}"] if found and found.words else []
     return FMUMember(name, unit, way.once_more, found.repeated if found else 0.0), notes

@@ -15,7 +15,7 @@ from phfmu.declare.phdae import PHDAE
 from phfmu.declare.variable import _sx
 from phfmu.events.event_plan import at_instant
 from phfmu.network.couplings.newton import Newton
-from phfmu.network.couplings.signals.held_signals import ORDER_OF_EVENTS
+from phfmu.network.couplings.signals.sampled_signals import ORDER_OF_EVENTS
 from phfmu.network.interface.bare_columns import Bare, bare
 from phfmu.network.interface.interface import Interface, interface
 from phfmu.network.interface.relations import bent

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from phfmu.network.couplings.coupling import Coupling, solves_rows
 from phfmu.network.couplings.coupling_table import COUPLINGS
 from phfmu.network.couplings.unconverged import POLICIES
-from phfmu.network.interface.joined import Joined
+from phfmu.network.interface.coupled_members import CoupledMembers
 from phfmu.network.network import Network
 from phfmu.words import meant
 
@@ -26,7 +26,7 @@ class Named:
     order: int
     held: str
     nodes: bool
-    make: Callable[[Joined], Coupling]
+    make: Callable[[CoupledMembers], Coupling]
 
 
 def named_coupling(

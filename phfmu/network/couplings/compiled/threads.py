@@ -54,7 +54,7 @@ TRIALS = 2  # of a step, at least
 TRIED = 16  # steps by one thread and by many, of which the faster go on
 
 
-class Pace:
+class ThreadNumber:
     """`cost`: seconds that trials of each member took, of which compiled code adds up the first; `asked`: None chooses.
 
     Parts of a run are the same whatever the threads: where one ends shows in the last bits.

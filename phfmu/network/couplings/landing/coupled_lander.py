@@ -20,11 +20,11 @@ from phfmu.engine.landing.grid_step import grid_step
 from phfmu.engine.landing.landing import Landing
 from phfmu.engine.landing.locate import Location
 from phfmu.events.event_plan import EventPlan, Settings
-from phfmu.network.interface.joined import Joined
+from phfmu.network.interface.coupled_members import CoupledMembers
 from phfmu.network.interface.joint_impulse import Fired
 from phfmu.network.interface.shared_jumps import SharedJumps
 from phfmu.network.members.engine_member import EngineMember
-from phfmu.network.members.happenings import Happenings
+from phfmu.network.members.event_texts import EventTexts
 from phfmu.outcome.steps import StepEvent
 
 Array = NDArray[Any]
@@ -33,7 +33,7 @@ Array = NDArray[Any]
 _NONE: frozenset[int] = frozenset()
 
 
-class Together:
+class CoupledLander:
     """Steps of `members` with state events and of all they are joined with.
 
     joined: all members of the network;  shared: which jumps act on several
@@ -46,7 +46,7 @@ class Together:
 
     def __init__(
         self,
-        joined: Joined,
+        joined: CoupledMembers,
         shared: SharedJumps,
         members: list[EngineMember],
         solve: Callable[[float, float], bool],
@@ -58,7 +58,7 @@ class Together:
             m.together = True
         self._save, self.restore, self._saved, self._in_parts = save, restore, save(), 0
         self._landings = [Landing(m.instance) for m in members]
-        self._words = [Happenings(m.model, m.name) for m in members]
+        self._words = [EventTexts(m.model, m.name) for m in members]
         plans = [m.model.events for m in members]
         self._plan = _Stacked(members, [p for p in plans if p is not None])
         k = max(m.model.step.k for m in members)

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array
 
 from phfmu.declare.junction_words import spread_words
+from phfmu.network.interface.coupled_members import CoupledMembers
 from phfmu.network.interface.hidden import Parted, parted
-from phfmu.network.interface.joined import Joined
 from phfmu.network.interface.matrices import DENSE
 from phfmu.network.junction import Junction
 from phfmu.network.members.consistent import MONOLITHIC, inconsistent
@@ -31,13 +31,13 @@ CONSISTENT = 1e-7  # a sum below this part of the largest output it is made of, 
 UNIT = 1e-6  # this where all of them are zero
 
 
-class EndSums:
+class JunctionValues:
     """Columns of the present time, as in composed models: `end_names` of the junction unknowns, `checks` of what is hidden.
 
     A check is a sum of joined flows (efforts) or, where outputs must be equal, the difference of one of them from the first.
     """
 
-    def __init__(self, joined: Joined):
+    def __init__(self, joined: CoupledMembers):
         self.joined = joined
         face = joined.face
         self._rows = face.rows_of_sums()

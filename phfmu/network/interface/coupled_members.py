@@ -22,7 +22,7 @@ from phfmu.network.interface.matrices import assembled, small
 from phfmu.network.junction import junction_unknowns
 from phfmu.network.members.differences import instant_sensitivity
 from phfmu.network.members.member import Member
-from phfmu.network.members.stepped_last import SteppedLast
+from phfmu.network.members.predicted_member import PredictedMember
 from phfmu.network.network import Network
 from phfmu.signals import of_member
 from phfmu.words import meant
@@ -30,7 +30,7 @@ from phfmu.words import meant
 Array = NDArray[np.float64]
 
 
-class Joined:
+class CoupledMembers:
     """Stacked: inputs and outputs of all members (nu); `face`: P (nu x n) and C (n x n).  ConnectionError without members."""
 
     CARRIED = ("members", "free", "held", "sampled", "booking")
@@ -40,7 +40,7 @@ class Joined:
         self.network, self.members = network, members
         self.face = interface(network, members)
         #: members whose steps are put off until `finish`
-        self.put_off = [m for m in members if isinstance(m, SteppedLast)]
+        self.put_off = [m for m in members if isinstance(m, PredictedMember)]
         #: relative difference of steps that members take again, which units may have; 0 where all take them to rounding
         self.repeated = max((m.repeated for m in members), default=0.0)
         self.booking = _booking(network, members)

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.declare.entries.parameter_limits import declared_limits
-from phfmu.network.interface.joined import Joined
+from phfmu.network.interface.coupled_members import CoupledMembers
 from phfmu.network.members.member import Member
 from phfmu.network.network import Network
 from phfmu.network.wires import Wire
@@ -45,12 +45,12 @@ class _Hop:
     write: list[tuple[Member, list[str], list[int]]] = field(default_factory=list)
 
 
-class HeldSignals:
-    """The signals of a network; without wires nothing is done.  The samples themselves are `Joined.sampled`."""
+class SampledSignals:
+    """The signals of a network; without wires nothing is done.  The samples themselves are `CoupledMembers.sampled`."""
 
     CARRIED = ("before", "last")
 
-    def __init__(self, joined: Joined, at_nodes: Collection[int] = (), extrapolated: bool = True):
+    def __init__(self, joined: CoupledMembers, at_nodes: Collection[int] = (), extrapolated: bool = True):
         """`at_nodes`: numbers of the wires that are exchanged there;  `extrapolated`: False holds the last sample."""
         self.extrapolated = extrapolated
         network = joined.network
@@ -175,7 +175,7 @@ class HeldSignals:
         self.rows = []
         self._place(np.flatnonzero(self._port >= 0), self._now)
 
-    def follow(self, other: HeldSignals) -> None:
+    def follow(self, other: SampledSignals) -> None:
         """Goes on from the signals of the same network under another exchange, whose inputs that are free are set already."""
         self._joined.free[self._port[self._at_nodes]] = self._offset[self._at_nodes]
         self.restore(other.state())
