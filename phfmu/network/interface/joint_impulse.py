@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, NoReturn, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.engine.landing.event_jump import Laws, struck
+from phfmu.engine.event_jump import Laws, struck
 from phfmu.engine.port_jumps import JumpKernel
 from phfmu.events.event_plan import EventPlan
 from phfmu.events.impulse import Columns
