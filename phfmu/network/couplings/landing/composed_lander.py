@@ -156,8 +156,8 @@ class ComposedLander:
     def held_only(self) -> str:
         """Why no input follows data, and what to do."""
         return (
-            f"{self.members_state.joined.network.name}: inputs of members that land as one composed declaration do not follow data, "
-            "which is not known at the instant of an event; leave out --coupling, so that the network is composed"
+            f"{self.members_state.joined.network.name}: inputs of members that land as one composed declaration do not follow "
+            "data, which is not known at the instant of an event; leave out --coupling, so that the network is composed"
         )
 
     def check_changed(self) -> None:
