@@ -107,7 +107,7 @@ def _more(names: Sequence[str]) -> str:
 
 
 @dataclass(frozen=True, eq=False)
-class Embedded:
+class EmbeddedUnit:
     """A unit of another tool as a member: what the run steps, and its file.
 
     `step`, `instant`: lengths of its blocks, as those of a model.

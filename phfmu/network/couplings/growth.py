@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 LIMIT = 1e6  # times the energy at the start with what was supplied since
 
 
-class Growth:
+class EnergyGrowth:
     """Energies of the start and through free ports since, as absolute values; `LIMIT` times that is beyond any physics.
 
     Units whose energy is estimated count from zero: what they gave at most is what they had, or have from inside.

@@ -18,7 +18,7 @@ from phfmu.engine.rest_changes import RestChange
 from phfmu.engine.switched import stepped
 from phfmu.network.couplings.stepper import Landing
 from phfmu.network.impulses.projections import Projections
-from phfmu.network.members.columns import Columns, booking
+from phfmu.network.members.columns import SignalColumns, booking
 from phfmu.network.members.consistent import require_consistent
 from phfmu.network.members.event_texts import EventTexts
 from phfmu.network.members.inputs import Inputs
@@ -66,7 +66,7 @@ class Monolithic:
         held = self._constants.booked(instance.parameters)
         self.booking = replace(booking(model, held), parts=self._projections.keys)
         self._inputs = Inputs(instance, model)
-        self._columns = Columns(model, instance.layout)
+        self._columns = SignalColumns(model, instance.layout)
         self.names = self._columns.names
         #: makes rows within the steps, if asked for: (instance, row before, record, starts, sizes) -> (n x rows x width)
         self.between: Between | None = None

@@ -29,7 +29,7 @@ Ints = NDArray[np.intp]
 
 
 @dataclass(frozen=True)
-class Bare:
+class BareColumns:
     """columns: those with impulses;  why: bare junction without -> the reason ("": its sum is linear and stays at its start).
 
     offered: columns of all junctions whose ports take impulses.
@@ -40,7 +40,7 @@ class Bare:
     offered: tuple[int, ...] = ()
 
 
-def bare(network: Network, face: Interface, inputs: Sequence[slice], offers: Sequence[Offer | None]) -> Bare:
+def bare(network: Network, face: Interface, inputs: Sequence[slice], offers: Sequence[Offer | None]) -> BareColumns:
     """`inputs`: where those of each member are among all."""
     by_name = {o.name: o for o in offers if o is not None}
     refused: dict[str, str] = {}
@@ -62,8 +62,8 @@ def bare(network: Network, face: Interface, inputs: Sequence[slice], offers: Seq
         ]
         refused[j.name] = "; ".join(odd)
     if all(linear.values()):  # the common case, which needs no matrix
-        return Bare((), dict.fromkeys(linear, ""), tuple(columns))
-    kicked = Kicked(face, columns)
+        return BareColumns((), dict.fromkeys(linear, ""), tuple(columns))
+    kicked = ImpulseColumns(face, columns)
     reached = [(kicked.at(o, p), o) for o, p in zip(offers, inputs, strict=True) if o is not None]
     S = kicked.inductance((own, o.jump()) for own, o in reached if (own >= 0).any())
     at = {c: name for name in linear for c in range(face.sums[name].start, face.sums[name].stop)}
@@ -77,10 +77,10 @@ def bare(network: Network, face: Interface, inputs: Sequence[slice], offers: Seq
             taken += [columns[i] for i in part]
         else:
             why |= dict.fromkeys(names, reason)
-    return Bare(tuple(sorted(taken)), why, tuple(columns))
+    return BareColumns(tuple(sorted(taken)), why, tuple(columns))
 
 
-class Kicked:
+class ImpulseColumns:
     """Some columns of an interface, as those of impulses."""
 
     def __init__(self, face: Interface, columns: Sequence[int]):

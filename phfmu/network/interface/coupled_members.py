@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from phfmu.audit.booking import Booking
 from phfmu.network.compose import require_members
-from phfmu.network.interface.followed import Followed
 from phfmu.network.interface.interface import interface
 from phfmu.network.interface.matrices import assembled, small
+from phfmu.network.interface.prescribed_inputs import PrescribedInputs
 from phfmu.network.junction import junction_unknowns
 from phfmu.network.members.differences import instant_sensitivity
 from phfmu.network.members.member import Member
@@ -52,7 +52,7 @@ class CoupledMembers:
         self.free = np.concatenate([m.start_inputs() for m in members])
         self.free[self.face.fed] = 0.0
         #: those of U_free that follow data
-        self.followed: Followed | None = None
+        self.followed: PrescribedInputs | None = None
         #: signals that are exchanged at the nodes of steps: as they are now, less the offsets of their wires, which are in free
         self.held = np.zeros(len(self.free))
         #: of each wire the signal as it is now

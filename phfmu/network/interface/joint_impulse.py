@@ -32,7 +32,7 @@ Array = NDArray[Any]
 
 
 @dataclass(frozen=True)
-class Fired:
+class FiredEvents:
     """Events of a model with the plan `plan` that happen now: parameters after them, and which of them come to rest."""
 
     plan: EventPlan
@@ -56,7 +56,7 @@ class Fired:
 class Party(Protocol):
     """A member with [jumps that fired | ports | constraints]; components: those of the member with energy in play."""
 
-    fired: Fired | None
+    fired: FiredEvents | None
 
     @property
     def components(self) -> Sequence[int]: ...
@@ -73,7 +73,7 @@ class Party(Protocol):
 class EngineParty:
     """A member of an engine, with the events that have fired there."""
 
-    def __init__(self, member: EngineMember, kernel: JumpKernel, fired: Fired | None):
+    def __init__(self, member: EngineMember, kernel: JumpKernel, fired: FiredEvents | None):
         self.components, self.fired = kernel.components, fired
         self._member, self._kernel, self._which = member, kernel, fired.jumps if fired else []
         self._x, self._p = member.instance.x.copy(), fired.p if fired else member.instance.parameters
@@ -94,7 +94,7 @@ class UnitParty:
     """A unit that takes impulses; `ports`: places of those that are told, among those it takes (kicked: their outputs)."""
 
     components: Sequence[int] = (0,)
-    fired: Fired | None = None
+    fired: FiredEvents | None = None
 
     def __init__(self, member: FMUMember, offer: Offer, ports: list[int]):
         self._member, self._offer, self._ports = member, offer, ports

@@ -10,14 +10,14 @@ from phfmu.network.network import Network
 
 
 @dataclass(frozen=True)
-class Choice:
+class CouplingChoice:
     """A coupling, and the sentence that says why."""
 
     row: CouplingRow
     why: str
 
 
-def choose(network: Network, apart: bool = False, stuck: Mapping[str, str] | None = None) -> Choice:
+def choose(network: Network, apart: bool = False, stuck: Mapping[str, str] | None = None) -> CouplingChoice:
     """One model where all members are declared; else steps are repeated, where units can go back, or taken once.
 
     `apart`: declared members are to be stepped in ways of their own.  `stuck`: units that cannot go back and what is wrong with
@@ -26,18 +26,18 @@ def choose(network: Network, apart: bool = False, stuck: Mapping[str, str] | Non
     """
     units = network.units
     if not units and not apart:
-        return Choice(MONOLITHIC, "all members are declared, so they are stepped as one model")
+        return CouplingChoice(MONOLITHIC, "all members are declared, so they are stepped as one model")
     if stuck is None:
         stuck = {name: "cannot save its state" for name, unit in units.items() if not unit.interface.saves}
     if len(stuck) > 1 and _given_by_outputs(network):
         why = "; ".join(f"{name} {words}" for name, words in stuck.items())
         made = "; junctions make energy, which is told" if network.junctions else ""
-        return Choice(GAUSS_SEIDEL, f"{why}, so no step can be repeated{made}")
+        return CouplingChoice(GAUSS_SEIDEL, f"{why}, so no step can be repeated{made}")
     if stuck:
         last = f"{', '.join(stuck)} {'are' if len(stuck) > 1 else 'is'} stepped last"
-        return Choice(NEWTON, f"units cannot be composed; {last}, other members can repeat a step")
+        return CouplingChoice(NEWTON, f"units cannot be composed; {last}, other members can repeat a step")
     why = f"{', '.join(units)} cannot be composed" if units else "members have engines or steps of their own"
-    return Choice(NEWTON, f"{why}, and all members can repeat a step")
+    return CouplingChoice(NEWTON, f"{why}, and all members can repeat a step")
 
 
 def _given_by_outputs(network: Network) -> bool:

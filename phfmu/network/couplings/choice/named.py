@@ -14,7 +14,7 @@ from phfmu.words import meant
 
 
 @dataclass(frozen=True)
-class Named:
+class NamedCoupling:
     """A coupling that was asked for.
 
     words:  for the head line of a run
@@ -31,7 +31,7 @@ class Named:
 
 def named_coupling(
     name: str, network: Network, sequence: Sequence[str] | None = None, unconverged: str = "raise"
-) -> Named:
+) -> NamedCoupling:
     """The coupling `name` of members of a network.
 
     sequence:  of the members, for those that step in turn;  unconverged:  raise | halve | accept, for couplings that iterate
@@ -52,7 +52,7 @@ def named_coupling(
         in_words = ", ".join(member or "the composed member" for member in order)
         words, make = f"{words} ({in_words})", lambda _: kind(order)
     wrap = POLICIES[unconverged]
-    return Named(words, kind.order, row.held, bool(row.at_nodes), lambda joined: wrap(make(joined)))
+    return NamedCoupling(words, kind.order, row.held, bool(row.at_nodes), lambda joined: wrap(make(joined)))
 
 
 def repeats(name: str | None) -> bool:

@@ -19,7 +19,7 @@ from phfmu.engine.native.structures import Structures
 from phfmu.network.couplings import anderson
 from phfmu.network.couplings.acceptance import ITERATIONS, KNOWN
 from phfmu.network.couplings.anderson import Anderson
-from phfmu.network.couplings.compiled.master_pattern import Exchanged, Pattern
+from phfmu.network.couplings.compiled.master_pattern import ExchangeTables, MasterPattern
 from phfmu.network.couplings.coupling import Coupling, InTurn, Moves, Solution, Starts
 from phfmu.network.couplings.newton import Continuation, Newton
 from phfmu.network.interface.coupled_members import CoupledMembers
@@ -37,14 +37,14 @@ class SolverTables:
     """The tables that solvers are made of; `z`: the unknowns, which are those of the last step between calls."""
 
     joined: CoupledMembers
-    found: Exchanged
-    pattern: Pattern
+    found: ExchangeTables
+    pattern: MasterPattern
     memory: Structures
     lib: ctypes.CDLL
     z: Array
 
 
-class Solver(Protocol):
+class MasterSolver(Protocol):
     """A solver of the master.
 
     name:        of the function that tells it, less `ph_solver_`
@@ -110,7 +110,7 @@ class NewtonSolver:
         return Continuation(self._found.copy(), tuple(m.copy() for m in self._missed[: struct.known]))
 
 
-class _Remembering:
+class _MemorySolver:
     """What a solver in C goes on from, as it saves it: `ph_solver`."""
 
     _t: SolverTables
@@ -133,7 +133,7 @@ class _Remembering:
         return found
 
 
-class AndersonSolver(_Remembering):
+class AndersonSolver(_MemorySolver):
     """Its differences, which a step may add `anderson.ITERATIONS` to."""
 
     name, held, iterations, failure = "anderson", True, anderson.ITERATIONS, None
@@ -155,7 +155,7 @@ class AndersonSolver(_Remembering):
         self.fields = {"found": nothing, "missed": nothing, "memory": ctypes.addressof(own)}
 
 
-class InTurnSolver(_Remembering):
+class InTurnSolver(_MemorySolver):
     """Groups of members that step one after the other."""
 
     name, held, iterations, words, failure = "in_turn", True, 1, "", None

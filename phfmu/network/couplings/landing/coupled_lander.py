@@ -21,7 +21,7 @@ from phfmu.engine.landing.landing import Landing
 from phfmu.engine.landing.locate import Location
 from phfmu.events.event_plan import EventPlan, Settings
 from phfmu.network.interface.coupled_members import CoupledMembers
-from phfmu.network.interface.joint_impulse import Fired
+from phfmu.network.interface.joint_impulse import FiredEvents
 from phfmu.network.interface.shared_jumps import SharedJumps
 from phfmu.network.members.engine_member import EngineMember
 from phfmu.network.members.event_texts import EventTexts
@@ -60,7 +60,7 @@ class CoupledLander:
         self._landings = [Landing(m.instance) for m in members]
         self._words = [EventTexts(m.model, m.name) for m in members]
         plans = [m.model.events for m in members]
-        self._plan = _Stacked(members, [p for p in plans if p is not None])
+        self._plan = _StackedGuards(members, [p for p in plans if p is not None])
         k = max(m.model.step.k for m in members)
         #: numbers of the events that happened last and of those that came to rest, among the guards of all members
         self.last: tuple[list[int], list[int]] = [], []
@@ -169,11 +169,11 @@ class CoupledLander:
         reached, _ = self._shared.reached(start)
         self.anew = {self._joined.members[i].name for i in reached}
         struck = {i for i in own if numbers[i] in reached}
-        fired = {numbers[i]: Fired(self._landings[i].plan, own[i], *decided[i]) for i in struck}
+        fired = {numbers[i]: FiredEvents(self._landings[i].plan, own[i], *decided[i]) for i in struck}
         return struck, self._shared.jump(t, fired)
 
 
-class _Stacked:
+class _StackedGuards:
     """The guards of all members as those of one plan: x = [states of each | t], p = [parameters of each]."""
 
     solves = 0
