@@ -86,7 +86,7 @@ def _inputs(model: PHDAE | UnitFile) -> dict[str, str]:
 
 
 def wires_between(members: Mapping[str, PHDAE | UnitFile], source: str, target: str) -> list[Wire]:
-    """One wire per scalar of the two ends, `member.name`; ConnectionError for what does not exist or does not fit."""
+    """One wire per scalar of the two ends, `member.name`; raises ConnectionError for what does not exist or does not fit."""
     a, output = _split(members, source)
     b, wanted = _split(members, target)
     found, name = outputs(members[a]), output.partition("[")[0]
@@ -111,7 +111,7 @@ def wires_between(members: Mapping[str, PHDAE | UnitFile], source: str, target: 
 def at_junction(source: str, members: Mapping[str, PHDAE | UnitFile], junctions: Sequence[Junction]) -> str:
     """The port output that a source `junction.name` stands for; the source itself where no junction has that name.
 
-    ConnectionError where no port at the junction has the common variable as its output: it is a multiplier, which depends
+    Raises ConnectionError where no port at the junction has the common variable as its output: it is a multiplier, which depends
     on all that meets there at once, so that it is measured by a member with a lag.
     """
     name, _, wanted = source.partition(".")

@@ -45,7 +45,7 @@ def export_network(
     `coupling`, `sequence`: its name, and of members that step in turn their order;
     `tunable`, `events`, `outward`: of members, `member.name`; all else as of `export`.  Errors: FMUError for members that the
     master inside does not step: units of this package, units that cannot be inside another one, state events, signals held over
-    steps; ValueError for an unknown coupling.
+    steps.  Raises ValueError for an unknown coupling.
     """
     rows = rows_of(versions)
     network = with_fed_inside(network, [e.name for e in events])

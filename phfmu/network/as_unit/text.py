@@ -49,7 +49,7 @@ class TableText:
     room: int = 0
 
     def struct(self, kind: str, name: str, values: Mapping[str, Any]) -> tuple[str, list[str]]:
-        """What initialises a structure, and where its pointers into the memory go: rows of ph_room."""
+        """Initialiser of a structure in C, and rows of ph_room for its pointers into the memory."""
         members, rooms = [], []
         for f in HEADER.fields[kind]:
             value = values[f.name]
@@ -237,7 +237,7 @@ def _rooms(name: str, rows: Sequence[str]) -> str:
 
 
 def junction_pairs(whole: Coupled) -> tuple[list[int], list[int]]:
-    """Where the pairs of each junction begin, and their places among those of all members."""
+    """First pair of each junction (junctions + 1), and the places of the pairs among those of all members."""
     joined = whole.joined
     first, at = dict[str, int](), 0
     for m in joined.members:

@@ -309,7 +309,7 @@ class NetworkUnit(Unit):
             yield Quantity(total(name), "output", block, 0, n, None, "J", description=text)
 
     def _happened(self) -> Iterator[Quantity]:
-        """What state events tell, and the modes that they set."""
+        """Quantities that state events tell, and the modes that they set."""
         for i, (name, unit, text) in enumerate(HAPPENED):
             yield Quantity(name, "output", "happened", i, 1, None, unit, description=text)
         first = 0

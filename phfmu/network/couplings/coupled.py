@@ -104,7 +104,7 @@ class Coupled:
         self.names = self._columns.names
 
     def _land_anew(self) -> None:
-        """What lands all members together, which knows of no event yet."""
+        """Make the lander of all members anew, without any event before."""
         steps = AllSteps(self._all_step, lambda: (self.joined.states(), self.last), self._all_back)
         found = landings(self.joined, plain(self.coupling), steps, self._join)
         self._exchange, self._lander, self._switching = found
@@ -120,7 +120,7 @@ class Coupled:
         self.joined.restore(states)
 
     def kept(self) -> tuple[Any, ...]:
-        """Where all are, to which `back` brings them after a step; all members save their states."""
+        """States of members, junction unknowns and signals, for `back`; all members save their states."""
         growth = self._growth and (self._growth.known, self._growth.had)
         return self.joined.states(), self.last, self._signals.state(), growth, self._at_start
 
@@ -144,7 +144,7 @@ class Coupled:
 
     @property
     def guards(self) -> int:
-        """How many guards' zeros all members end their steps on together."""
+        """Number of guards on whose zeros all members end their steps together."""
         return 0 if self._lander is None else self._lander.guards
 
     def _join(self) -> None:
@@ -155,7 +155,7 @@ class Coupled:
 
     @property
     def master(self) -> Master:
-        """The compiled steps; StepFailure where the rows of the junctions cannot be solved."""
+        """The compiled steps; raises StepFailure where the rows of the junctions cannot be solved."""
         if self._mode not in self._masters:
             self._masters[self._mode] = self.compiled()
         return self._masters[self._mode]
@@ -363,7 +363,7 @@ class Coupled:
             self._agreed.at_instant(self.last.xi)
 
     def _told(self, failure: BaseException, h: float) -> BaseException:
-        """Of an iteration that is given up, units that do not repeat a step are told."""
+        """Return the failure; that of an iteration which is given up names the units that do not repeat a step."""
         if isinstance(failure, Unconverged) and not failure.signals:
             failure.unsteady = self.joined.unsteady(h)
         return failure
@@ -424,9 +424,9 @@ class Coupled:
             raise EndRequested(names, t, 0.0, t)
 
     def _many(self, grid: tuple[float, float, int], n: int) -> Steps | None:
-        """As many of n steps as are accepted, and do not run away, without returning to Python; None of none.
+        """Take up to n steps without returning to Python, as far as they are accepted and do not run away; None if none is.
 
-        `_ended_by`: why the next one is not taken, if it is refused for good.
+        `_ended_by`: the failure of the step behind them, if it is refused for good.
         """
         self._sums.find(self.last.xi)
         last, states, samples = self.last, self.joined.states() if self._growth else None, self._signals.state()
@@ -488,7 +488,7 @@ class Coupled:
             raise
 
     def land(self, t0: float, h: float, n: int, first: int = 0, changed: bool = True) -> Iterator[Landing]:
-        """As of `Monolithic`; for members of order 2k whose steps all end where a guard of one of them is zero."""
+        """Steps and events, as `Monolithic.land` yields them, of members whose steps all end on the zeros of guards."""
         return self._landed(Grid(t0, h, n, first), changed)
 
     def _landed(self, grid: Grid, changed: bool) -> Iterator[Landing]:
@@ -587,6 +587,6 @@ class Coupled:
         return instance._landed(grid, changed)
 
     def _unknowns(self) -> Array:
-        """Of the last steps of the members that engines step."""
+        """Unknowns of the last steps of the members that engines step."""
         engines = (m for m in self.joined.members if isinstance(m, EngineMember))
         return np.concatenate([m.instance.unknowns for m in engines])

@@ -35,7 +35,7 @@ class EnergyGrowth:
         self.known += float(np.abs(H).sum())
 
     def within(self, H: Array, pairs: Array) -> int:
-        """As `watch`, of a row a step of members whose energy is known: how many steps there are before one runs away."""
+        """Number of steps, a row each, before one runs away; the check of `watch` for members whose energy is known."""
         known = self.known + np.cumsum(np.abs(pairs[:, self._outer]).sum(axis=1))
         away = ~(np.abs(H).sum(axis=1) <= LIMIT * known)
         n = int(away.argmax()) if away.any() else len(H)
@@ -43,7 +43,7 @@ class EnergyGrowth:
         return n
 
     def watch(self, t: float, h: float, H: Array, pairs: Array) -> None:
-        """After a step from t with energies H and energy through `pairs`; StepFailure where they have run away."""
+        """After a step from t with energies H and energy through `pairs`; raises StepFailure where they have run away."""
         known = self.known + float(np.abs(pairs[self._outer]).sum())
         total = float(np.abs(H).sum())
         poor = [m.name for m in self._joined.put_off if m.missed > POOR]

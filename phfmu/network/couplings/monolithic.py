@@ -131,7 +131,7 @@ class Monolithic:
         raise KeyError(d.unknown_name(name))
 
     def _rebook(self) -> None:
-        """What is constant in H may follow a parameter that was set."""
+        """Book anew the constants in H, which may follow a parameter that was set."""
         if (held := self._constants.booked(self.instance.parameters)) != self.booking.constants:
             self.booking = replace(self.booking, constants=held)
 
@@ -224,7 +224,7 @@ class Monolithic:
         return np.zeros(0) if self.between is None else instance.row()
 
     def landings(self, instance: Any, before: Array, parts: Iterable[Landed]) -> Iterator[Landing]:
-        """What the instance has landed, in the columns of a run; `before`: its row at the start."""
+        """Steps and events of a landing of the instance, in the columns of a run; `before`: its row at the start."""
         words = EventTexts(self.model)
         for part in parts:
             steps, happened = None, part.happened
@@ -245,7 +245,7 @@ class Monolithic:
 
     @property
     def guards(self) -> int:
-        """How many zeros its steps end on."""
+        """Number of guards on whose zeros steps end."""
         return 0 if self.model.events is None else self.model.events.n
 
     @property

@@ -42,7 +42,7 @@ def in_halves(
 ) -> tuple[Steps, Solution]:
     """A step by `take`, which leaves all members where they are when it fails; else its halves, booked as one step.
 
-    `finish`: ends the first half for good.  StepFailure of a part that is h / 2^10 long.
+    `finish`: ends the first half for good.  Raises StepFailure of a part that is h / 2^10 long.
     """
     try:
         return take(last, t, h)

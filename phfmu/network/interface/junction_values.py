@@ -121,7 +121,7 @@ class JunctionValues:
         return np.hstack([ends, left[:, self._checked] - base])
 
     def left(self, rows: Array) -> Array:
-        """What no junction unknown can change of rows (n x any), once `values` was asked for."""
+        """Part of rows (n x any) that no junction unknown can change, once `values` was asked for."""
         assert self._maps is not None
         return np.asarray(rows.T @ self._maps[2]).T
 

@@ -27,7 +27,7 @@ def all_together(joined: CoupledMembers, shared: SharedJumps) -> bool:
     """Whether members land with all others by the events of the composed declaration: some have ideal switches, or guards that
     read what others give, in steps of order 4 and 6 or beside jumps that act on others.
 
-    Their members that are nothing but switches are made relations then.  ValueError where that is the only way, and is barred.
+    Their members that are nothing but switches are made relations then.  Raises ValueError where that is needed and barred.
     """
     switched = [m for m in joined.members if isinstance(m, EngineMember) and m.model.modes is not None]
     reading = any(isinstance(m, EngineMember) and _reads(m, shared) for m in joined.members)

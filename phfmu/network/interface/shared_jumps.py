@@ -54,7 +54,7 @@ class SharedJumps:
     def jump(self, t: float, fired: Mapping[int, FiredEvents]) -> tuple[Array, Array]:
         """Moves the states of all members that the jumps of members number i reach.
 
-        Energies that the components of the network got, and what they lost.  EventRefused.
+        Energies that the components of the network got, and what they lost.  Raises EventRefused.
         """
         numbers, own = self.reached(list(fired))
         parties = [self._party(i, fired.get(i)) for i in numbers]

@@ -31,8 +31,8 @@ REPEATS = 1e-9  # values that differ by less, relative to the largest of the var
 
 @dataclass(frozen=True)
 class RepeatMode:
-    """How a step is repeated: what trials are told as noSetFMUStatePriorToCurrentPoint, and whether the accepted trial is taken
-    once more with True, since the unit keeps nothing of a step that was told False.
+    """Mode in which a step is repeated: the noSetFMUStatePriorToCurrentPoint that trials are told, and whether the accepted
+    trial is taken once more with True, since the unit keeps nothing of a step that was told False.
     """
 
     no_set_prior: bool

@@ -94,9 +94,9 @@ class Master:
     def advance(
         self, last: Solution, sums: JunctionValues, grid: tuple[float, float, int], n: int
     ) -> tuple[Steps, Solution]:
-        """As many of n steps k = first.. from t0 + k h (grid: t0, h, first) as are accepted, and where the next goes on from.
+        """Take n steps k = first.. from t0 + k h (grid: t0, h, first); the accepted ones, and the solution at their end.
 
-        `refusal` says why these are not all.
+        `refusal` is the failure that ended them early, None if all were accepted.
         """
         t0, h, first = grid
         parts, self.refusal = list[Steps](), None
@@ -316,7 +316,7 @@ class Master:
         )  # fmt: skip
 
     def _at(self, row: int) -> str:
-        """Where in the step a row is."""
+        """Place of a row in the step, in words."""
         if row >= self.found.nodes:
             return " at the end of the step"
         column = self.found.column[row]

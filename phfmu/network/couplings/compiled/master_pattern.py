@@ -154,7 +154,7 @@ def exchange_tables(joined: CoupledMembers, coupling: Coupling, held: Sequence[W
 
 
 def _exchange(coupling: Coupling) -> InterfaceUnknowns | None:
-    """Of node values; None: one held value each."""
+    """Unknowns of a coupling that exchanges node values; None where each input is one held value."""
     return coupling.exchange if isinstance(coupling, Newton) else None
 
 

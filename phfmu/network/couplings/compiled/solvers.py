@@ -1,4 +1,4 @@
-"""Which solver of the compiled master each coupling is, where a call starts and what one leaves.
+"""Solvers of the compiled master by coupling: their tables, the start of a call, and the memory that one leaves.
 
 A solver in C (`ph_solver`) remembers what the next step goes on from.  Solutions keep a copy of it, so that
 a run can go on from an earlier step.
@@ -72,7 +72,7 @@ class MasterSolver(Protocol):
         ...
 
     def memory(self, struct: Any) -> Any:
-        """What the next step goes on from, after the last one of a call."""
+        """Memory that the next step starts from, after the last step of a call."""
         ...
 
 
@@ -111,7 +111,7 @@ class NewtonSolver:
 
 
 class _MemorySolver:
-    """What a solver in C goes on from, as it saves it: `ph_solver`."""
+    """Solver in C that goes on from a memory of its own, which `ph_solver` saves and loads."""
 
     _t: SolverTables
     sweeps = 0
@@ -261,7 +261,7 @@ def _by_row(n: int, rows: list[Any], width: int) -> tuple[Array, Array]:
 
 
 def _sweeps(coupling: Any, joined: CoupledMembers) -> list[list[int]]:
-    """The groups of a coupling in turn; ValueError where they are no sweeps over all members."""
+    """The groups of a coupling in turn; raises ValueError where they are no sweeps over all members."""
     groups, n, name = coupling.groups(joined), len(joined.members), type(coupling).__name__
     every = [i for group in groups for i in group]
     if not every or any(sorted(every[at : at + n]) != list(range(n)) for at in range(0, len(every), n)):

@@ -94,7 +94,7 @@ class CoupledLander:
 
     @property
     def counts(self) -> dict[str, int]:
-        """How often steps were halved, by members or by all: such a step has no polynomial."""
+        """Number of steps that were halved, by members or by all: such a step has no polynomial."""
         return {"substeps": self._in_parts + sum(m.instance.counts["substeps"] for m in self.members)}
 
     def step_exactly(self, t: float, h: float) -> None:
