@@ -32,7 +32,7 @@ from phfmu.target import is_fmu
 if TYPE_CHECKING:
     from phfmu.declare.phdae import PHDAE
     from phfmu.fmu.importer.unit_file import UnitFile
-    from phfmu.network.couplings.choice.named import NamedCoupling
+    from phfmu.network.couplings.choice.coupling_choice import NamedCoupling
     from phfmu.network.couplings.choice.partitioned_network import PartitionedNetwork
     from phfmu.network.couplings.signals.sampled_signals import SignalExchange
     from phfmu.network.couplings.stepper import Stepper
@@ -260,8 +260,8 @@ class _Members:
 def apart(
     args: argparse.Namespace, s: Scene, declared: Network, name: str, why: list[str], tried: Mapping[str, Rollback]
 ) -> Job:
+    from phfmu.network.couplings.choice.coupling_choice import named_coupling
     from phfmu.network.couplings.choice.gathered import composed_words
-    from phfmu.network.couplings.choice.named import named_coupling
     from phfmu.network.couplings.choice.partitioned_network import circling_units, held_wires
 
     sequence = args.sequence and [name.strip() for name in args.sequence.split(",")]
@@ -481,7 +481,7 @@ def _tried(args: argparse.Namespace, s: Scene) -> dict[str, Rollback]:
     """Whether units can take steps back, where the coupling may ask it of them."""
     if not s.units:
         return {}
-    from phfmu.network.couplings.choice.named import repeats
+    from phfmu.network.couplings.choice.coupling_choice import repeats
 
     if not repeats(args.coupling):
         return {}
@@ -492,7 +492,7 @@ def _tried(args: argparse.Namespace, s: Scene) -> dict[str, Rollback]:
 
 def _coupling(args: argparse.Namespace, s: Scene, stuck: Mapping[str, str]) -> tuple[CouplingRow, list[str]]:
     """The coupling asked for, or the one that fits and the line that says why; one model without a word if nobody asked."""
-    from phfmu.network.couplings.choice.auto import choose
+    from phfmu.network.couplings.choice.coupling_choice import choose
     from phfmu.network.network import Network
 
     if args.coupling not in (None, AUTO.name):

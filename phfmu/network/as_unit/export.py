@@ -11,7 +11,7 @@ from phfmu.fmu.export.variables import FMUError
 from phfmu.fmu.version import VERSIONS, Version
 from phfmu.network.as_unit.embedded import require_embeddable, untold
 from phfmu.network.as_unit.unit import coupled_members, network_unit, with_fed_inside
-from phfmu.network.couplings.choice.named import named_coupling, repeats
+from phfmu.network.couplings.choice.coupling_choice import named_coupling, repeats
 from phfmu.network.couplings.coupling_table import NEWTON
 from phfmu.network.members.unit_member import tried
 from phfmu.network.network import Network

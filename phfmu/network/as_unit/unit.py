@@ -26,8 +26,8 @@ from phfmu.fmu.export.variables import FMUError, FMUVariable, listed
 from phfmu.network.as_unit.embedded import EmbeddedUnit
 from phfmu.network.as_unit.landers import Landers, not_landed
 from phfmu.network.as_unit.text import SOLVER_FILES, network_files
+from phfmu.network.couplings.choice.coupling_choice import NamedCoupling
 from phfmu.network.couplings.choice.gathered import COMPOSED
-from phfmu.network.couplings.choice.named import NamedCoupling
 from phfmu.network.couplings.compiled.master import Master
 from phfmu.network.couplings.compiled.shares import NativeShare, ShareMaker, own_share
 from phfmu.network.couplings.coupled import Coupled

@@ -15,13 +15,12 @@ from phfmu.engine.rest_changes import RestChange
 from phfmu.interrupt import Interrupted
 from phfmu.network.couplings.acceptance import HALVED
 from phfmu.network.couplings.coupling import AllSteps, Coupling, Solution, Step, Unconverged, solves_rows
-from phfmu.network.couplings.growth import EnergyGrowth
+from phfmu.network.couplings.growth import EnergyGrowth, SignalGrowth
 from phfmu.network.couplings.junction_works import JunctionWorks
 from phfmu.network.couplings.landing.landings import landings
 from phfmu.network.couplings.newton import Newton, newton
 from phfmu.network.couplings.signals.agreed_signals import AgreedSignals, SignalsApart
 from phfmu.network.couplings.signals.sampled_signals import SampledSignals, SignalExchange
-from phfmu.network.couplings.signals.signal_growth import SignalGrowth
 from phfmu.network.couplings.unconverged import AcceptingPolicy, HalvingPolicy, in_halves, plain
 from phfmu.network.impulses.jumps_apart import JumpsApart
 from phfmu.network.interface.coupled_members import CoupledMembers
