@@ -98,7 +98,7 @@ class ImpulseColumns:
         return summed(self.n, ((at[mine], at[mine], S[np.ix_(mine, mine)]) for at, mine, S in own))
 
 
-def clusters(S: csr_array) -> list[Ints]:
+def clusters(S: csr_array | coo_array) -> list[Ints]:
     """The columns that S couples, in order."""
     count, label = connected_components(S, directed=False)
     order = np.argsort(label, kind="stable")
@@ -117,12 +117,10 @@ class Clusters:
         rows = np.concatenate([np.full(len(p), p[0]) for p in pairs] or [np.zeros(0, int)])
         columns = np.concatenate([*pairs, np.zeros(0, int)])
         graph = coo_array((np.ones(len(rows)), (rows, columns)), shape=(n, n))
-        count, label = connected_components(graph, directed=False) if n else (0, np.zeros(0, int))
-        order = np.argsort(label, kind="stable")
-        self.of = np.split(order, np.searchsorted(label[order], np.arange(1, count))) if n else []
-        self._label, self._place = label, np.zeros(n, int)
-        for own in self.of:
-            self._place[own] = np.arange(len(own))
+        self.of = clusters(graph) if n else []
+        self._label, self._place = np.zeros((2, n), int)
+        for i, own in enumerate(self.of):
+            self._label[own], self._place[own] = i, np.arange(len(own))
 
     def blank(self) -> list[Array]:
         """S = 0."""
