@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from phfmu.engine.model import Model, require_built, require_one_mode
+from phfmu.engine.model import EngineModel, require_built, require_one_mode
 from phfmu.engine.record import Grid, recordable
 from phfmu.outcome.steps import Happened, Landed
 
@@ -23,7 +23,7 @@ Array = NDArray[Any]
 
 
 class Signals(ABC):
-    """Base of whatever tells its values by block."""
+    """Base of the classes that tell their values by block."""
 
     @abstractmethod
     def signals(self) -> dict[str, Array]:
@@ -57,7 +57,7 @@ class Instance(Signals):
 
     _ports: Ports
 
-    def __init__(self, model: Model) -> None:
+    def __init__(self, model: EngineModel) -> None:
         require_built(model, type(self).__name__)
         require_one_mode(model)
         self.model = model
@@ -82,7 +82,7 @@ class Instance(Signals):
     @property
     @abstractmethod
     def solves(self) -> int:
-        """In how many parts the last step was solved; 0: none, or more than are known."""
+        """Number of parts in which the last step was solved; 0: none, or more than are known."""
 
     @property
     @abstractmethod
@@ -226,7 +226,7 @@ class Instance(Signals):
 
     @abstractmethod
     def skip(self, t: float) -> None:
-        """To the time t in a step too short to be one: state, multipliers and means stay, nothing is booked."""
+        """Move to the time t in a step too short to be one: state, multipliers and means stay, nothing is booked."""
 
     @abstractmethod
     def step_exactly(self, t: float, h: float, parts: int = 1) -> None:

@@ -57,7 +57,7 @@ class SwitchedInstance(Signals):
 
     @property
     def kernels(self) -> str:
-        """How those of the present mode run: compiled or interpreted."""
+        """The form of the kernels of the present mode: compiled or interpreted."""
         return self.present.kernels
 
     @property
@@ -80,7 +80,7 @@ class SwitchedInstance(Signals):
 
     @property
     def instances(self) -> list[Any]:
-        """Those of the modes that came up so far."""
+        """Instances of the modes that came up so far."""
         return list(self._instances.values())
 
     def _entered(self, mode: Mode) -> Any:

@@ -121,7 +121,7 @@ def _settings(index: Mapping[str, int], values: Iterable[Mapping[str, float]]) -
 
 
 def _require_modes(model: PHDAE, index: Mapping[str, int]) -> None:
-    """DeclarationError for names that are no scalar parameters, and for modes with energy in them."""
+    """Raise DeclarationError for names that are no scalar parameters, and for modes with energy in them."""
     for e in model.state_events:
         for name in sorted(e.named - index.keys()):
             raise DeclarationError(

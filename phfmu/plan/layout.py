@@ -10,7 +10,7 @@ import numpy as np
 
 from phfmu.declare.variable import Value
 from phfmu.plan.unknown import ALGEBRAIC, COSTATE, INCREMENT, Role, Unknown
-from phfmu.terms.condense import Condensed
+from phfmu.terms.condense import CondensedVariables
 from phfmu.terms.located import Row, RowAt, ValueAt
 from phfmu.terms.term import Terms
 
@@ -56,7 +56,7 @@ class Layout:
     @cached_property
     def condensed(self) -> tuple[int, ...]:
         """Algebraic variables that are no unknowns, but sums of other values."""
-        return self.terms.found(Condensed).variables
+        return self.terms.found(CondensedVariables).variables
 
     @property
     def ncondensed(self) -> int:

@@ -53,7 +53,7 @@ class Elimination:
         return len(self.product_ptr) - 1
 
 
-class Pattern:
+class FactorPattern:
     """Order and pattern of L for given rows: what an elimination would cost, before its lists are made."""
 
     def __init__(self, rows: Sequence[Row], light: Sequence[int] = (), unit: int = 0):
@@ -171,4 +171,4 @@ def updates(column: np.ndarray) -> int:
 
 def eliminate(rows: Sequence[Row], light: Sequence[int] = (), unit: int = 0) -> Elimination:
     """The elimination of rows given as lists of (degree of freedom, gradient slot, sign)."""
-    return Pattern(rows, light, unit).elimination()
+    return FactorPattern(rows, light, unit).elimination()

@@ -190,12 +190,12 @@ def _opposites(f: ca.Function) -> Differences:
 
 
 def mass(term: Term) -> Lanes:
-    """1/m."""
+    """The inverse 1/m of a mass."""
     return Lanes((lane_kernel("mass", [_p(term)], [1 / term.data["m"]]),), o=_singles(1))
 
 
 def no_mass(term: Term) -> bool:
-    """Whether a mass is zero whatever the parameters are."""
+    """True if a mass is zero whatever the parameters are."""
     return ca.SX(term.data["m"]).is_zero()
 
 

@@ -36,7 +36,7 @@ EXPRESSIONS = dict(LOGIC.values()) | {f: f"{f}(x)" for f in FUNCTIONS.values()} 
 CONSTANT, NUMBER, LANE, INNER = range(4)
 TYPES = ("double", "ph_real", "ph_lane", "ph_inner")
 PREFIXES = ("", "number", "lane", "inner")
-#: how one becomes another
+#: conversions of one into another
 RAISED = {
     (CONSTANT, NUMBER): "PH_REAL_SPREAD", (CONSTANT, LANE): "PH_CONSTANT", (NUMBER, LANE): "PH_SPREAD",
     (CONSTANT, INNER): "PH_INNER_CONSTANT", (NUMBER, INNER): "PH_INNER_SPREAD", (LANE, INNER): "PH_INNER",

@@ -19,7 +19,7 @@ import numpy as np
 
 from phfmu.declare.variable import Value
 from phfmu.terms.canonical import Locator, components, make_term, scalars
-from phfmu.terms.hidden import Hidden
+from phfmu.terms.hidden import HiddenConstraints
 from phfmu.terms.located import Row, RowAt
 from phfmu.terms.rows import costate_symbols, costates, row_expressions
 from phfmu.terms.term import CLOSED, CONSTRAINT, ENERGY, JOINT, Term, TermKind, Terms
@@ -80,7 +80,7 @@ class Finder:
     def __init__(self, terms: Terms):
         self.terms, self.nodes = terms, []
         holonomic = {t.rows[0].index for t in terms.of(CONSTRAINT)}
-        rows = [r for r in terms.found(Hidden).checks if r not in holonomic]
+        rows = [r for r in terms.found(HiddenConstraints).checks if r not in holonomic]
         if not rows:
             return
         model = terms.model
@@ -166,7 +166,7 @@ class Finder:
 
     @staticmethod
     def _reads(expr: ca.SX, some: Container[int]) -> bool:
-        """Whether one of `some` symbols, by their hashes, stands in an expression."""
+        """True if one of `some` symbols, by their hashes, stands in an expression."""
         return any(s.element_hash() in some for s in ca.symvar(expr))
 
     @cached_property

@@ -27,7 +27,7 @@ def distrust(folder: Path, *parts: Path) -> str | None:
 
 
 def distrust_one(path: Path) -> str | None:
-    """The same of one file in a folder that is trusted."""
+    """Reason not to trust one file in a folder that is trusted, None if there is none."""
     return _distrust(path, sticky=False) if hasattr(os, "geteuid") else None
 
 
@@ -55,7 +55,7 @@ def _trusted() -> set[int]:
 
 @cache
 def _is_alone(group: int) -> bool:
-    """Whether it is the user's own group, which many systems give each user and new folders."""
+    """True if a group is the user's own one, which many systems give each user and new folders."""
     import grp
     import pwd
 

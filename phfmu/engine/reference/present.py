@@ -10,7 +10,7 @@ from phfmu.discretise.model import Model
 from phfmu.engine.reference import rest, rest_start
 from phfmu.engine.reference.chain import Tangents, end_along
 from phfmu.engine.reference.evaluate import Array, Evaluator, inputs_at
-from phfmu.engine.reference.newton import Fixed, Newton, Outcome
+from phfmu.engine.reference.newton import Fixed, Outcome, StepNewton
 from phfmu.engine.reference.sensitivity import derivative
 from phfmu.engine.reference.state import State
 from phfmu.outcome.status import Status, StepFailure
@@ -21,7 +21,7 @@ class Present:
 
     def __init__(self, model: Model):
         self.model = model
-        self._newton = Newton(Evaluator(model.instant))
+        self._newton = StepNewton(Evaluator(model.instant))
 
     def values(self, s: State) -> dict[str, Array]:
         """w, a, y, o, H; StepFailure where the instant system has no solution."""

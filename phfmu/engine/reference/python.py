@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from phfmu.discretise.model import Model
-from phfmu.engine.impulses import Kicks, Ports
+from phfmu.engine.impulses import Ports, PythonImpulses
 from phfmu.engine.instance import Instance
 from phfmu.engine.model import require_no_landing
 from phfmu.engine.node_sensitivity import NodeSensitivity, chosen, columns, directions
@@ -37,7 +37,7 @@ class PythonReadings(Instance):
     def __init__(self, model: Model):
         super().__init__(model)
         self._solves, self._present, self._ports = Solves(model), Present(model), Ports(model.declaration)
-        self._kicks = Kicks(self._ports)
+        self._kicks = PythonImpulses(self._ports)
         self._s = State.at_start(model)
 
     @property

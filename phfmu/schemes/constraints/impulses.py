@@ -26,7 +26,7 @@ from phfmu.declare.variable import Value
 from phfmu.gradients.quadrature import Nodes, gauss
 from phfmu.plan.address import Address, Place, increment
 from phfmu.plan.layout import Layout
-from phfmu.plan.planner import Maps
+from phfmu.plan.planner import SchemeMaps
 from phfmu.plan.spec import Arguments, Result, Spec
 from phfmu.plan.unknown import Role, Unknown, of_algebraics, of_states
 from phfmu.terms.bare import IMPULSE, Finder, Remedy
@@ -217,7 +217,7 @@ def reports(terms: Terms) -> list[Work]:
     return [Work(r.index, t.owner) for t in terms.of(IMPULSE) for r in t.rows if r.kind is Row.EQUATION]
 
 
-def maps(layout: Layout, base: Maps) -> Maps:
+def maps(layout: Layout, base: SchemeMaps) -> SchemeMaps:
     """`base` with the shifts of x', with node voltages whose interval means include the impulses, (m + m')/h, and with work."""
     found = layout.terms.found(Impulses)
     if not found.end_states:
