@@ -196,7 +196,7 @@ class _Constraints:
         return self._at(2, x).ravel()
 
     def forces(self, x: Array) -> Array:
-        """A^T dz/dx, rows x states: what an impulse acts against; the coefficients A stay as they are."""
+        """A^T dz/dx, rows x states, against which an impulse acts; the coefficients A stay as they are."""
         return self._at(4, x)
 
     def work(self, start: Array, end: Array) -> Array:

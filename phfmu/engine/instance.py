@@ -140,11 +140,11 @@ class Instance(Signals):
 
     @abstractmethod
     def set_state(self, state: Any) -> None:
-        """Restores what `get_state` gave."""
+        """Restores a state that `get_state` gave."""
 
     @abstractmethod
     def restore(self, state: Any) -> None:
-        """`set_state`; the counts of what the solver did go on."""
+        """Restores a state as `set_state` does; the counts of the solver go on."""
 
     @abstractmethod
     def set_x(self, t: float, x: ArrayLike) -> None:

@@ -1,4 +1,4 @@
-"""Jumps of a model together with impulses at its ports: what one member gives to a jump that several share.
+"""Jumps of a model together with impulses at its ports, the part of one member in a jump that several share.
 
     x+ = x- + L [m, s, r],   c = L^T grad H,   S = L^T H'' L
 

@@ -166,7 +166,7 @@ def _require_rates(terms: Terms, names: Sequence[str], A: ca.SX) -> None:
 
 
 def _bent(column: ca.SX, S: ca.SX, j: int, psi: ca.SX) -> tuple[str, str, str] | None:
-    """Reason, remedy and rule of what has no closed form along column j."""
+    """Reason, remedy and rule of an expression without closed form along column j; None if all have one."""
     if depends(column, psi):
         return "has a column that changes as it moves states", "let columns depend on other states", "symbol"
     if S[j, j].is_zero():

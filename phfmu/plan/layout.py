@@ -92,7 +92,7 @@ class Layout:
         return self.nw + node * len(self.terms.pairs) + pair
 
     def report(self, key: Hashable) -> int:
-        """Row of what is reported under `key`."""
+        """Row of the report under `key`."""
         return self.nw + len(self.terms.pairs) * self.k + self._report[key]
 
     def condensed_row(self, a: int, node: int) -> int:

@@ -33,7 +33,7 @@ class Tables:
 
 @dataclass(frozen=True)
 class SchemeMaps:
-    """Linear maps of a scheme between unknowns and what is reported or carried on.
+    """Linear maps of a scheme from unknowns to reported and carried values.
 
     `update`: (state, w, weight) with x' = x + sum weight w;  `mean`: (reported algebraic, Y index, weight, power of h);
     `guess`: per unknown a list of (w of the last step, weight, power of h/h_last);  `weights`, `nodes`: quadrature on

@@ -1,4 +1,4 @@
-"""Closures: what ties the algebraic state x2 to its costate over a step (k = 1).
+"""Closures: equations that tie the algebraic state x2 to its costate over a step (k = 1).
 
 The equations of a step determine the costate f2 of the algebraic rows; x2 itself is closed by f2 = z2bar(x2, x2'):
 

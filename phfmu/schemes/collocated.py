@@ -42,7 +42,7 @@ class Collocated(GaussScheme):
     node_values = True
 
     def prepare(self, terms: Terms) -> Terms:
-        """The terms with their impulses; DeclarationError says what does not fit."""
+        """The terms with their impulses; DeclarationError names a remedy for terms that do not fit."""
         require_pairs(terms, self.k)
         require_gradient(self.gradient, self.k)
         if self.k % 2 == 0 and terms.of(CONSTRAINT):

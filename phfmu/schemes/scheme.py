@@ -27,7 +27,7 @@ Triplet = tuple[int, int, float, int]
 
 
 class Scheme(Protocol):
-    """A one-step method: which unknowns it has and what kernels each kind of term becomes."""
+    """A one-step method: its unknowns, and the kernels of each kind of term."""
 
     @property
     def name(self) -> str:

@@ -26,7 +26,7 @@ class ClosureScheme(GaussScheme):
     name: str
 
     def prepare(self, terms: Terms) -> Terms:
-        """The terms with their closures; DeclarationError says what does not fit."""
+        """The terms with their closures; DeclarationError names a remedy for terms that do not fit."""
         require_pairs(terms, 1)
         closure.require(self.closure, self.name)
         return closure.add(terms)

@@ -38,7 +38,7 @@ NUMBERS = ("start", "stress", "mass", "load")
 
 @dataclass(frozen=True)
 class LaneKernel:
-    """One local function; `kind` says what its arguments and results are (d coordinates, e their rates):
+    """One local function; `kind` names its arguments and results (d coordinates, e their rates):
 
     constraint  (d, e, p) -> (Dg, e^T D2g)            lanes
     strain      (d, p) -> DC                          lanes

@@ -1,4 +1,4 @@
-"""The Schur stepper of a holonomic model: what its fast solver needs beside the plan, where its conditions hold.
+"""The Schur stepper of a holonomic model: the tables of its fast solver beside the plan, where its conditions hold.
 
     q' = v + M^-1 Dg^T mu,   M v' = f(q, q', u) - DV(q) - Dg^T lambda - (v^T D2g)^T mu,   Dg q' = 0 at the nodes, Dg v = 0
 
@@ -115,7 +115,7 @@ def _require(condition: bool) -> None:
 
 
 class _Builder:
-    """Collects the instances of one model; every method raises _Unfit or NoLanes for what the Schur stepper cannot take."""
+    """Collects the instances of one model; every method raises _Unfit or NoLanes for a term the Schur stepper cannot take."""
 
     def __init__(self, layout: Layout, plan: Plan):
         self.layout, self.terms, self.plan = layout, layout.terms, plan

@@ -96,7 +96,7 @@ def _number(value: float) -> str:
 
 
 def _operation(op: int, operands: Sequence[tuple[str, int]]) -> tuple[str, int]:
-    """C text of an operation and what its result is: arithmetic has constants as they are."""
+    """C text of an operation and the type of its result: arithmetic has constants as they are."""
     kind = max(of for _, of in operands)
     if op in ARITHMETIC:
         a, b = (text if of == CONSTANT else _raised((text, of), kind) for text, of in (operands[0], operands[-1]))

@@ -1,4 +1,4 @@
-"""Runs in compiled code: one call takes many, side by side where that pays, and only what is measured is worked out."""
+"""Runs in compiled code: one call takes many, side by side where that pays, and only measured values are worked out."""
 
 from __future__ import annotations
 
@@ -257,7 +257,7 @@ class NativeRuns:
 
 
 def _schedule(task: ModelTask, places: Places) -> dict[str, list[dict[str, Any]]]:
-    """Stretches of equal steps, and what the events at their starts set, as the run loop has them."""
+    """Stretches of equal steps, and the changes by the events at their starts, as the run loop has them."""
     o, ports = task.options, task.model.declaration.ports
     free = with_bare([n for p in ports if p.external for n in p.input_names()])
     found = _Schedule(places)

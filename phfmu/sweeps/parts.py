@@ -19,7 +19,7 @@ ENDING = ".part"
 
 
 def digest(words: str, design: Design) -> str:
-    """Hash of all that the outcomes depend on: the design, and what is run."""
+    """Hash of all that the outcomes depend on: the design and the words of the task."""
     text = "\n".join((words, *design.names))
     return hashlib.sha256(text.encode() + design.rows.astype("<f8").tobytes()).hexdigest()
 

@@ -1,4 +1,4 @@
-"""Bare nodes: algebraic rows that join inductive branches only, and what a step does about them.
+"""Bare nodes: algebraic rows that join inductive branches only, and their remedies in a step.
 
 The row of such a node, c(x) = -L(x)^T z = 0, contains no algebraic variable (index 2); v acts on the states by x' = L v.
 
@@ -41,7 +41,7 @@ IMPULSE = TermKind("impulse")
 
 @dataclass(frozen=True)
 class BareNode:
-    """A bare algebraic row, what is done about it, and why not more (empty for a pair)."""
+    """A bare algebraic row, its remedy, and the reason why it has no better one (empty for a pair)."""
 
     row: int
     name: str
@@ -244,6 +244,6 @@ class Finder:
 
 
 def depends(expr: ca.SX, on: ca.SX) -> bool:
-    """Structural dependence after cancelling what differentiates to zero."""
+    """Structural dependence after cancelling expressions that differentiate to zero."""
     entries = ca.vec(expr.nz[:])
     return ca.simplify(ca.jacobian(entries, on)).nnz() > 0 and ca.depends_on(entries, on)

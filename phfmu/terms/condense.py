@@ -204,7 +204,7 @@ class _FlowArguments:
         return found.index(source.index)
 
     def values(self, term: Term, local: dict[Value, ca.SX]) -> tuple[list[ca.SX], list[ca.SX]]:
-        """Old local symbols, and what stands for them."""
+        """Old local symbols, and the expressions that stand for them."""
         old, new = [], []
         for (kind, j), parts in self.places.items():
             old.append(term.local[kind][j])

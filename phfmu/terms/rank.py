@@ -110,7 +110,7 @@ def constraint_rank(model: PHDAE) -> ConstraintRank:
 
 
 def constraint_labels(model: PHDAE) -> dict[str, str]:
-    """Multiplier -> what the declaration calls its constraint, where it has a name for it."""
+    """Multiplier -> name of its constraint in the declaration, where it has one."""
     return {n: c.label for c in model.constraints if c.label for n in c.multiplier.names()}
 
 
@@ -246,7 +246,7 @@ class ConstraintsAtStart:
 
 
 def at_start(terms: Terms) -> Terms:
-    """The terms with what they have to know of their constraints at the start: sizes, and which rest."""
+    """The terms with the facts about their constraints at the start: sizes, and those that rest."""
     owner = [t.rows[0].index for t in terms.of(CONSTRAINT)]
     if not owner:
         return terms
@@ -260,7 +260,7 @@ def at_start(terms: Terms) -> Terms:
 
 
 def hold_names(terms: Terms) -> tuple[str, ...]:
-    """The constraints in order: multiplier, and what the declaration calls it."""
+    """The constraints in order: multiplier, and name in the declaration."""
     labels = constraint_labels(terms.model)
     own = [terms.algebraic_names[a] for a in terms.found(ConstraintsAtStart).sizes]
     return tuple(f"{n} ({labels[n]})" if n in labels else n for n in own)

@@ -44,7 +44,7 @@ def flow_expressions(terms: Terms, z: ca.SX, u: ca.SX) -> tuple[ca.SX, ca.SX]:
 
 
 def _expressions(terms: Terms, kind: Row, rows: Iterable[int], z: ca.SX, u: ca.SX) -> dict[int, ca.SX]:
-    """The chosen rows of one kind; `u`: what stands for the free inputs."""
+    """The chosen rows of one kind; `u`: expressions of the free inputs."""
     model, bound, x = terms.model, terms.bound, terms.model.x
     found = {r: ca.SX(0) for r in rows}
     p = ca.vertcat(*(v.sx for v in model.parameters))
@@ -101,7 +101,7 @@ def check_rows(terms: Terms, checks: list[Check], z: ca.SX | None = None) -> lis
 
 
 def _eliminated(rows: dict[int, ca.SX], hidden: HiddenConstraints, a: ca.SX) -> dict[int, ca.SX]:
-    """The check rows with the algebraic variables replaced by what their own (linear) rows give."""
+    """The check rows with the algebraic variables replaced by the solutions of their own (linear) rows."""
     if not hidden.solved_by:
         return rows
     own = ca.vertcat(*(rows[r] for r in hidden.solved_by))

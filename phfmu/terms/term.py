@@ -56,7 +56,7 @@ MASS_BLOCK = TermKind("mass block")  # a full or state-dependent block of E
 
 @dataclass(frozen=True)
 class EnergyForm:
-    """The form of an energy term; `metric`: of each of its states, what weights a correction of a general one."""
+    """The form of an energy term; `metric`: the weight of each of its states in a correction of a general one."""
 
     kind: EnergyKind
     metric: tuple[float, ...] = ()

@@ -28,7 +28,7 @@ class ModeTables(Filled):
         )
 
     def rows(self, rows: ModeRows) -> int:
-        """Address of what is known of a mode."""
+        """Address of the `ph_mode_rows` of a mode."""
         return ctypes.addressof(self.fill("ph_mode_rows", rows, {}))
 
 

@@ -47,7 +47,7 @@ class Toolchain:
     own: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def key(self, files: Mapping[str, bytes], more: Sequence[str] = ()) -> str:
-        """Name in the cache of what `files` give; where the program stands does not matter."""
+        """Name in the cache of the output for `files`; where the program stands does not matter."""
         digest = hashlib.sha256(repr((self.program[1:], self.version, self.options, tuple(more))).encode())
         for name in sorted(files):
             digest.update(f"\0{name}\0{len(files[name])}\0".encode() + files[name])

@@ -1,4 +1,4 @@
-"""Functions as tables of operations: what names a function by its content, and what the runtime interprets.
+"""Functions as tables of operations, by which a function is named by its content and interpreted by the runtime.
 
 The tables are read from CasADi's functions of scalars.  Their slots are [constants | arguments | results of the operations], each
 slot is written once.  A program has its operations in segments of equal ones that do not depend on each other; which operations

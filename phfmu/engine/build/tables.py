@@ -34,7 +34,7 @@ HEADERS = ("schur/schur.h", "plan.h", "events/events.h", "modes/modes.h", "inter
 
 @dataclass(frozen=True)
 class Field:
-    """One member of a C structure; `pointer`: to what is of type `ctype`, and `constant` if nobody writes there."""
+    """One member of a C structure; `pointer`: to values of type `ctype`, and `constant` if nobody writes there."""
 
     name: str
     ctype: str

@@ -13,7 +13,7 @@ from pathlib import Path
 
 
 def distrust(folder: Path, *parts: Path) -> str | None:
-    """Why others could change the folder, the parts of it that there are, or what is above it, if they could."""
+    """Reason why others could change the folder, the parts of it that there are, or a folder above it; None if they could not."""
     if not hasattr(os, "geteuid"):
         return None
     above = dict.fromkeys((*folder.parents, *folder.resolve().parents))

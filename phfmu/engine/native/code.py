@@ -171,7 +171,7 @@ def code_of(kernels: Kernels, schur: SchurStepper | None, kind: Kind, work: int 
 
 
 def source(kernels: Kernels, schur: SchurStepper | None) -> GeneratedSource:
-    """kernels.c; without a Schur stepper it is known by its kernels and by what writes it."""
+    """The source kernels.c; without a Schur stepper it is known by its kernels and by the module that writes it."""
     if schur is not None:
         text = kernel_table(kernels, schur).text
         return GeneratedSource(text, lambda: text)

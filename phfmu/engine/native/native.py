@@ -136,7 +136,7 @@ class NativeReadings(Instance):
         return self._table[self._places[block]].copy()
 
     def _check(self, code: int) -> None:
-        """Raises what a status other than PH_OK means."""
+        """Raise the error of a status other than PH_OK."""
         if code == 0:
             return
         status, name = STATUS[code], self.model.name

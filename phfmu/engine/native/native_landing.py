@@ -86,7 +86,7 @@ class _LentStepsStruct(ctypes.Structure):
 
 
 class StepCallbacks:
-    """Steps lent to the instance as compiled code calls them; what they raise is kept until its call has returned."""
+    """Steps lent to the instance as compiled code calls them; an error they raise is kept until its call has returned."""
 
     def __init__(self, steps: LentSteps, instance: Any):
         self._steps, self._instance, self._n = steps, instance, instance.model.step.nx
@@ -97,7 +97,7 @@ class StepCallbacks:
         )
 
     def require(self, status: int) -> None:
-        """Raises what was kept: a refused step if compiled code could not go on without it."""
+        """Raise the error that was kept: that of a refused step only if compiled code could not go on without it."""
         failure, self._broken = self._broken or (self._refused if status else None), None
         self._refused = None
         if failure is not None:
@@ -191,7 +191,7 @@ class NativeLanding:
         self._memory, self._in = placed(lib, "ph_landing", instance, events)
 
     def over(self, grid: Grid, record: Iterable[str], changed: bool, check: Callable[[int], None]) -> Iterator[Landed]:
-        """The steps of a grid; `check` raises what a status means."""
+        """The steps of a grid; `check` raises the error of a status."""
         self._lib.ph_land_from(self._in, grid.t0, grid.h, grid.first, grid.n, int(changed))
         yield from self.on(grid.n, record, check, grid.pause)
 
@@ -303,7 +303,7 @@ class LandingMemory:
         return bool(self.out.done or (self.out.pause and self.out.events))
 
     def parts(self, words: Callable[[NDArray[np.int8]], tuple[str, ...]] = lambda _: ()) -> Iterator[Landed]:
-        """The steps and events of the last call; `words`: what a row of `changed` says."""
+        """The steps and events of the last call; `words`: the words for a row of `changed`."""
         begin = 0
         for i in range(self.out.events):
             who, end = self._fired[i], int(self._step[i])

@@ -54,7 +54,7 @@ class _Refusal(ctypes.Structure):
 
 @dataclass(frozen=True)
 class _ModeCode:
-    """The common part of changes of modes of a model: tables, code, and what is known of modes."""
+    """The common part of changes of modes of a model: tables, code, and the known rows of modes."""
 
     lib: ctypes.CDLL
     tables: ModeTables
@@ -209,7 +209,7 @@ class NativeModes:
         return tuple(f"{switches[j].name} {'on' if changed[j] == 2 else 'off'}" for j in np.flatnonzero(changed))
 
     def refuse(self, status: int) -> None:
-        """Raises what a status means."""
+        """Raise the error of a status."""
         if self._failure is not None:
             failure, self._failure = self._failure, None
             raise failure

@@ -110,7 +110,7 @@ class Evaluator:
         return r
 
     def _rest(self, r: Array) -> None:
-        """Rows at rest are 0, after a look at what they miss: the mean of the node rows is (g' - g) / h."""
+        """Set rows at rest to 0, after a look at their residuals: the mean of the node rows is (g' - g) / h."""
         plan = self.plan
         for c in np.flatnonzero(self.rests):
             rows = list(plan.hold.rows[c])

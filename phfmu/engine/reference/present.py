@@ -51,7 +51,7 @@ class Present:
         }  # fmt: skip
 
     def _start(self, s: State) -> tuple[Array, Fixed]:
-        """The start of the instant system, and what is fixed in it."""
+        """The start of the instant system, and its fixed values."""
         plan = self.model.instant
         w = np.zeros(plan.nw)
         w[plan.mean_w] = s.a[plan.mean_a]

@@ -115,7 +115,7 @@ class PythonReadings(Instance):
 
 
 class PythonInstance(PythonReadings):
-    """An instance stepped in Python, to be read; `NativeInstance` gives the same numbers, what both are says `Instance`.
+    """An instance stepped in Python, to be read; `NativeInstance` gives the same numbers, `Instance` describes both.
 
     A model with state events has values and single exact steps here; Refusal where guards would have to be looked at.
     """

@@ -138,7 +138,7 @@ def _dissipated(b: Block, part: list[int], z: ca.SX) -> tuple[ca.SX, ca.SX]:
 
 
 def _sharing(b: Block, locator: Locator) -> list[list[int]]:
-    """Components of a block; those that depend on the same states are one, which evaluates what they share once."""
+    """Components of a block; those that depend on the same states are one, which evaluates their common part once."""
     merged: dict[tuple, list[int]] = {}
     for i, part in enumerate(components(b.pattern)):
         symbols = ca.symvar(ca.veccat(*b.on(part).parts))
