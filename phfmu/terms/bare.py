@@ -71,10 +71,10 @@ def bare_nodes(terms: Terms) -> list[BareNode]:
 
     A row that is linear in the state (constant L, quadratic H) stays at its start value and needs nothing.
     """
-    return Finder(terms).nodes
+    return BareRows(terms).nodes
 
 
-class Finder:
+class BareRows:
     """Symbolic form of the bare rows of a model."""
 
     def __init__(self, terms: Terms):

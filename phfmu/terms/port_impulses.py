@@ -70,10 +70,12 @@ class PortForms:
 
 def port_impulses(model: PHDAE) -> PortForms:
     """The use of impulses by the external ports of a model."""
-    return _Search(extract(model)).forms()
+    return _PortSearch(extract(model)).forms()
 
 
-class _Search:
+class _PortSearch:
+    """Search for the external ports of a model that take impulses."""
+
     def __init__(self, terms: Terms):
         self.terms, model = terms, terms.model
         self.z, self.u = costate_symbols(model), ca.SX.sym("u", len(terms.pairs))

@@ -145,7 +145,7 @@ class GeneratedSource:
     content: str
     text: Callable[[], str]
 
-    def made(self) -> GeneratedSource:
+    def with_text(self) -> GeneratedSource:
         """The same source, whose text is made now."""
         text = self.text()
         return replace(self, text=lambda: text)

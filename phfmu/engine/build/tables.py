@@ -115,7 +115,7 @@ def _members(struct: str, source: Any, derived: dict[str, Any]) -> Iterator[tupl
         yield field, value
 
 
-class Filled:
+class TableMemory:
     """Structures for ctypes with the arrays they point to, which live as long as this object."""
 
     def __init__(self) -> None:
@@ -145,7 +145,7 @@ class Filled:
         return ctypes.addressof(array)
 
 
-class CTables(Filled):
+class CTables(TableMemory):
     """A model as ctypes structures; `pointer` is valid as long as this object lives.  `code`: address of its ph_code."""
 
     def __init__(self, model: EngineModel, index: Callable[[Kernel], int], code: int) -> None:

@@ -23,7 +23,7 @@ from phfmu.engine.build.compile import Build, CompileError, CompilerMissing, Gen
 from phfmu.engine.build.kernels import Kernels
 from phfmu.engine.build.operations import Operations, operations
 from phfmu.engine.build.runtime_sources import headers
-from phfmu.engine.build.tables import Filled
+from phfmu.engine.build.tables import TableMemory
 from phfmu.engine.native.library import runtime
 from phfmu.schur.stepper import SchurStepper
 
@@ -85,7 +85,7 @@ class CompiledCode:
         return False
 
 
-class InterpretedCode(Filled):
+class InterpretedCode(TableMemory):
     """Kernels as programs of the runtime, which become compiled ones when that is earned.
 
     `work`: operations of an evaluation of the plan of a step; 0: they stay interpreted.  prefix: of the functions of `lib`
@@ -132,7 +132,7 @@ class InterpretedCode(Filled):
 
     def _beside(self) -> None:
         """The compiler beside the run; the text is made before, as CasADi is not for two threads."""
-        text = source(self._kernels, None).made()
+        text = source(self._kernels, None).with_text()
 
         def work() -> None:
             with suppress(CompilerMissing, CompileError, OSError):
@@ -183,7 +183,7 @@ def _found(text: GeneratedSource) -> bool:
     return find(headers() | {"kernels.c": text}, flags=host_flags()) is not None
 
 
-class Functions(Filled):
+class Functions(TableMemory):
     """ph_functions at `address`, compiled, if there is a compiler, or interpreted; None: one without a call."""
 
     def __init__(self, functions: Sequence[ca.Function | None], compiled: bool) -> None:
@@ -212,10 +212,10 @@ class Functions(Filled):
         return ctypes.addressof(rows)
 
 
-def _program(filled: Filled, table: Operations) -> tuple[int, int]:
-    """Address of a program that lives as long as `filled`, and the length of its work space."""
+def _program(memory: TableMemory, table: Operations) -> tuple[int, int]:
+    """Address of a program that lives as long as `memory`, and the length of its work space."""
     made = table.program()
-    return ctypes.addressof(filled.fill("ph_program", made, made.derived)), made.derived["nslot"]
+    return ctypes.addressof(memory.fill("ph_program", made, made.derived)), made.derived["nslot"]
 
 
 def _address(lib: ctypes.CDLL, name: str) -> int | None:

@@ -16,7 +16,7 @@ from phfmu.engine.reference.state import State
 from phfmu.outcome.status import Status, StepFailure
 
 
-class Present:
+class PresentValues:
     """Algebraic variables, outputs, observables and energies of a state."""
 
     def __init__(self, model: Model):

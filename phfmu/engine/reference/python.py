@@ -18,7 +18,7 @@ from phfmu.engine.model import require_no_landing
 from phfmu.engine.node_sensitivity import NodeSensitivity, chosen, columns, directions
 from phfmu.engine.record import Grid, step_by_step
 from phfmu.engine.reference.evaluate import carried
-from phfmu.engine.reference.present import Present
+from phfmu.engine.reference.present import PresentValues
 from phfmu.engine.reference.solves import Solves
 from phfmu.engine.reference.state import State
 from phfmu.engine.rest_changes import RestChange, named
@@ -36,7 +36,7 @@ class PythonReadings(Instance):
 
     def __init__(self, model: Model):
         super().__init__(model)
-        self._solves, self._present, self._ports = Solves(model), Present(model), Ports(model.declaration)
+        self._solves, self._present, self._ports = Solves(model), PresentValues(model), Ports(model.declaration)
         self._kicks = PythonImpulses(self._ports)
         self._s = State.at_start(model)
 
