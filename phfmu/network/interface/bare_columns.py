@@ -63,7 +63,7 @@ def bare(network: Network, face: Interface, inputs: Sequence[slice], offers: Seq
         refused[j.name] = "; ".join(odd)
     if all(linear.values()):  # the common case, which needs no matrix
         return BareColumns((), dict.fromkeys(linear, ""), tuple(columns))
-    kicked = ImpulseColumns(face, columns)
+    kicked = ImpulseIncidence(face, columns)
     reached = [(kicked.at(o, p), o) for o, p in zip(offers, inputs, strict=True) if o is not None]
     S = kicked.inductance((own, o.jump()) for own, o in reached if (own >= 0).any())
     at = {c: name for name in linear for c in range(face.sums[name].start, face.sums[name].stop)}
@@ -80,7 +80,7 @@ def bare(network: Network, face: Interface, inputs: Sequence[slice], offers: Seq
     return BareColumns(tuple(sorted(taken)), why, tuple(columns))
 
 
-class ImpulseColumns:
+class ImpulseIncidence:
     """Some columns of an interface, as those of impulses."""
 
     def __init__(self, face: Interface, columns: Sequence[int]):
