@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from phfmu.engine.reference.evaluate import TABLES, Stage
 from phfmu.events.event_plan import EventPlan
-from phfmu.events.impulse import Columns, impulses, pushing
+from phfmu.events.impulse import ImpulseColumns, impulses, pushing
 from phfmu.outcome.limits import LIMITS
 
 Array = NDArray[Any]
@@ -29,13 +29,13 @@ class JumpColumns:
         self._jump, group = plan.jump, plan.jump.group
         self._stage = Stage((group,), [group.kernel.function], TABLES)
 
-    def at(self, x: Array, p: Array) -> Columns:
+    def at(self, x: Array, p: Array) -> ImpulseColumns:
         """x = [states | t]."""
         jump = self._jump
         n, c, m = jump.columns, len(jump.component), len(jump.moved)
         found = self._stage.sums(1.0, jump.size, x, np.zeros(0), p)
         y, L, S, e = np.split(found, np.cumsum([c * n, m * n, n * n]))
-        return Columns(L.reshape(n, m).T, y.reshape(c, n), S.reshape(n, n), e)
+        return ImpulseColumns(L.reshape(n, m).T, y.reshape(c, n), S.reshape(n, n), e)
 
 
 DEPENDENT, MOST, GAIN = range(3)  # places in event_failure.REASONS
@@ -51,8 +51,8 @@ class Laws:
 
 
 def struck(
-    columns: Callable[[], Columns],
-    move: Callable[[Columns, Array], None],
+    columns: Callable[[], ImpulseColumns],
+    move: Callable[[ImpulseColumns, Array], None],
     laws: Laws,
     refuse: Callable[[int, Sequence[int] | None, float, float], NoReturn],
 ) -> Array:

@@ -38,7 +38,7 @@ from phfmu.components.electrical.rl_line import rl_line
 from phfmu.components.scenes.electrical.smib import smib
 from phfmu.components.scenes.electrical.two_machine import two_machine
 from phfmu.fmu.importer.reader import FMUInstance
-from phfmu.network.couplings.choice.apart import Apart
+from phfmu.network.couplings.choice.partitioned_network import PartitionedNetwork
 from phfmu.network.interface.unknowns import InterfaceUnknowns
 from phfmu.network.members.consistent import InconsistentState
 from phfmu.network.members.fmu_member import FMUMember
@@ -217,7 +217,11 @@ def test_an_isolated_neutral_gets_no_impulses_composed_and_apart() -> None:
     net.junction("bus", ["a.terminal", "b.terminal"])
     nodes = bare_nodes(extract(net.compose()))
     assert {n.remedy for n in nodes} == {"none"} and "isolated neutral" in nodes[0].reason
-    assert Apart(net).exchanged()["bus"].endswith("no impulses (its inductance matrix is singular (isolated neutral))")
+    assert (
+        PartitionedNetwork(net)
+        .exchanged()["bus"]
+        .endswith("no impulses (its inductance matrix is singular (isolated neutral))")
+    )
     exchange = InterfaceUnknowns(couple(net, 2, PythonInstance).joined)
     assert exchange.bare == [] and len(exchange.offered) == 3
     grounded = Network("grounded")  # a line with a zero sequence beside one of them: the matrix is regular
@@ -235,7 +239,7 @@ def test_saturated_branches_exchange_values_only_and_say_why() -> None:
     net.add("b", saturable("b", 0.5, -0.6))
     net.junction("bus", ["a.p", "b.p"])
     assert {n.remedy for n in bare_nodes(extract(net.compose()))} == {"projection"}
-    words = Apart(net).exchanged()["bus"]
+    words = PartitionedNetwork(net).exchanged()["bus"]
     assert "no impulses" in words and "not quadratic" in words
     drive = Event(0.0, "a.drive.v", 5.0)
     sums = []

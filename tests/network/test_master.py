@@ -34,7 +34,7 @@ from phfmu.components.scenes.mechanical.oscillator import oscillator
 from phfmu.network.couplings.compiled.threads import worth
 from phfmu.network.couplings.coupling import Coupling
 from phfmu.network.couplings.newton import Newton, newton
-from phfmu.network.couplings.unconverged import Halving
+from phfmu.network.couplings.unconverged import HalvingPolicy
 from phfmu.network.interface.coupled_members import CoupledMembers
 from phfmu.outcome.steps import Steps
 from phfmu.signals import CONSTRAINT
@@ -302,7 +302,7 @@ def test_steps_before_one_that_fails_are_kept() -> None:
 def test_a_step_that_is_refused_is_taken_in_halves() -> None:
     """The polynomials of the steps before are too far off for so few trials; a quarter of the step is near enough."""
     net: Any = smib().system
-    stepper = Coupled(net, members(net, 2), lambda joined: Halving(newton(joined)))
+    stepper = Coupled(net, members(net, 2), lambda joined: HalvingPolicy(newton(joined)))
     stepper.check_start()
     stepper.advance(0.0, 1e-3, 3)
     stepper.master.rules.iterations = 2

@@ -20,7 +20,7 @@ from phfmu import (
     run,
 )
 from phfmu.components.mechanical.translational import mass, spring
-from phfmu.network.couplings.compiled.master_pattern import Pattern, exchanged
+from phfmu.network.couplings.compiled.master_pattern import MasterPattern, exchange_tables
 from phfmu.network.couplings.newton import newton
 from phfmu.network.interface.coupled_members import CoupledMembers
 from phfmu.studies.bench.apart import coupling as coupling_bench
@@ -43,8 +43,8 @@ def ring(n: int) -> Network:
 def pattern(net: Network, k: int) -> tuple[int, int, int]:
     """Unknowns, entries, room for factors."""
     joined = CoupledMembers(net, members(net, k, PythonInstance))
-    found = exchanged(joined, newton(joined))
-    made = Pattern(found)
+    found = exchange_tables(joined, newton(joined))
+    made = MasterPattern(found)
     return found.size, len(made.rowind), made.capacity
 
 

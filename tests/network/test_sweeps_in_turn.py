@@ -18,7 +18,7 @@ from phfmu.network.couplings.coupling_table import COUPLINGS
 from phfmu.network.couplings.gauss_seidel import GaussSeidel
 from phfmu.network.couplings.unit import FMUStepper
 from phfmu.network.interface.coupled_members import CoupledMembers
-from phfmu.network.interface.instant import Instant
+from phfmu.network.interface.instant import InstantSolver
 from tests.network.test_coupling_choice import mixed
 
 pytestmark = pytest.mark.usefixtures("compiler")
@@ -61,7 +61,7 @@ def members(net: Network) -> list[EngineMember]:
 
 
 def written_out(coupling: Any) -> np.ndarray:
-    net, instant = three(), Instant()
+    net, instant = three(), InstantSolver()
     joined = CoupledMembers(net, members(net))
     xi = np.zeros(len(joined.face.names))
     joined.begin(xi)

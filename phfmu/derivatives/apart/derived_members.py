@@ -27,7 +27,7 @@ from phfmu.network.couplings.compiled.master_pattern import ShareTables
 from phfmu.network.couplings.coupled import Coupled
 from phfmu.network.couplings.coupling import InTurn, Solution
 from phfmu.network.couplings.newton import Newton
-from phfmu.network.couplings.unconverged import Accepting, Halving
+from phfmu.network.couplings.unconverged import AcceptingPolicy, HalvingPolicy
 from phfmu.network.interface.coupled_members import CoupledMembers
 from phfmu.network.members.engine_member import EngineMember
 from phfmu.network.members.fmu_member import FMUMember
@@ -181,7 +181,7 @@ class DerivedMembers(Coupled):
     def _require_smooth(self) -> None:
         """ValueError for what has no derivatives here."""
         instead, name = self.joined.network.to_compose, self.joined.network.name
-        if isinstance(self.coupling, Halving | Accepting):
+        if isinstance(self.coupling, HalvingPolicy | AcceptingPolicy):
             raise ValueError(
                 f"{name}: steps that may be halved, or accepted as they are, where the interface does not converge have no "
                 "derivatives; leave out --unconverged and take shorter steps"

@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 from phfmu.derivatives.apart.joint_maps import AnyMaps, JointSlopes, JointSteps, at_once
 from phfmu.derivatives.apart.member_maps import MemberMaps
 from phfmu.derivatives.by import By
-from phfmu.network.couplings.compiled.master_pattern import Exchanged, ShareTables
+from phfmu.network.couplings.compiled.master_pattern import ExchangeTables, ShareTables
 from phfmu.network.interface.coupled_members import CoupledMembers
-from phfmu.network.interface.instant import Instant
+from phfmu.network.interface.instant import InstantSolver
 from phfmu.network.members.member import Member
 
 Array = NDArray[np.float64]
@@ -38,12 +38,12 @@ class InTurnMaps:
 
     def __init__(
         self,
-        exchanged: Exchanged,
+        exchanged: ExchangeTables,
         members: Sequence[tuple[Member, ShareTables, By]],
         groups: list[list[int]],
         made: Callable[[Member, ShareTables, By], AnyMaps],
     ):
-        self._groups, self._n, self._instant = groups, exchanged.nodes, Instant()
+        self._groups, self._n, self._instant = groups, exchanged.nodes, InstantSolver()
         #: by member, the number of its group
         self._group = np.argsort(np.concatenate([np.array(g, int) for g in groups]), kind="stable")
         for number, own in enumerate(groups):

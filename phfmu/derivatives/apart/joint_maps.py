@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from phfmu.derivatives.apart.member_maps import Linearised, MemberMaps
 from phfmu.derivatives.apart.unit_maps import UnitMaps
-from phfmu.network.couplings.compiled.master_pattern import Exchanged
+from phfmu.network.couplings.compiled.master_pattern import ExchangeTables
 from phfmu.network.interface.coupled_members import CoupledMembers
 from phfmu.schemes.constraints.impulses import POINTS
 
@@ -106,7 +106,7 @@ class JointMaps:
     #: whether members step one after the other, so that the states before a step are needed to look at it again
     in_turn = False
 
-    def __init__(self, exchanged: Exchanged, members: Sequence[AnyMaps]):
+    def __init__(self, exchanged: ExchangeTables, members: Sequence[AnyMaps]):
         self.exchanged, self.members = exchanged, list(members)
         e, N = exchanged, exchanged.size
         self.at_once = at_once(N)

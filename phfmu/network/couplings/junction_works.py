@@ -61,7 +61,7 @@ class JunctionWorks:
 
 def _of_unknowns(joined: CoupledMembers, exchange: InterfaceUnknowns | None) -> list[PartKey | None]:
     """The part that each unknown belongs to: xi, then impulses, then columns that estimates are exchanged through."""
-    at = _junctions(joined)
+    at = joined.face.junction_of
     if exchange is None:
         keys: list[PartKey | None] = [PartKey(junction, HELD) for junction in at]
     else:
@@ -76,10 +76,3 @@ def _of_unknowns(joined: CoupledMembers, exchange: InterfaceUnknowns | None) -> 
     last = {m.name for m in joined.put_off}
     estimated = {j.name for j in joined.network.junctions if any(e.member in last for e in j.ends)}
     return [*keys, *(PartKey(j, ESTIMATED) if j in estimated else None for j in at)]
-
-
-def _junctions(joined: CoupledMembers) -> list[str]:
-    """The junction of each column of the interface."""
-    starts = [s.start for s in joined.face.sums.values()] + [len(joined.face.names)]
-    names = list(joined.face.sums)
-    return [n for n, a, b in zip(names, starts[:-1], starts[1:], strict=True) for _ in range(b - a)]

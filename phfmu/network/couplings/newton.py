@@ -31,7 +31,7 @@ Array = NDArray[Any]
 
 @dataclass(frozen=True)
 class Continuation:
-    """What the next step of the same length starts from.
+    """Start of the iteration of the next step of the same length.
 
     found:   unknowns of the step, as the master has them: xi at the nodes, impulses at the start and at the end
     missed:  what the continuation of the step before missed of it, that one's of the step before, and so on, as far as known
@@ -42,9 +42,9 @@ class Continuation:
 
 
 class Newton:
-    """As many values per junction variable and step as the members take: the whole has their order.
+    """Newton's method on the interface residual, with as many values per junction variable as members take: the order is theirs.
 
-    `exchange`: of node values; None: one value per junction variable, held, so that the whole is of order 2.
+    `exchange`: unknowns at nodes; None: one held value per junction variable, so that the whole is of order 2.
     """
 
     repeats, closes = True, True

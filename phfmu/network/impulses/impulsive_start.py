@@ -38,7 +38,7 @@ MOST, SHRINKING = 12, 0.5  # trials; sums that shrink to more than this part of 
 
 
 @dataclass(frozen=True)
-class Moved:
+class ImpulseTarget:
     """A member that impulses act on; to: its impulses by those of a that reach it (at)."""
 
     member: EngineMember | FMUMember
@@ -96,10 +96,10 @@ def _project(exchange: InterfaceUnknowns, names: list[str], B: Any, t: float) ->
     return Projection(np.zeros(0), tuple(changes), before, after, float((joined.energies() - H).sum()))
 
 
-def _moved(exchange: InterfaceUnknowns, B: Any) -> Iterator[Moved]:
+def _moved(exchange: InterfaceUnknowns, B: Any) -> Iterator[ImpulseTarget]:
     for i, s in enumerate(exchange.shares):
         own, P = exchange.joined.reach(i)
         part = B[own]
         at = np.unique(part.indices)
         if isinstance(s.values, InstanceNodes) and s.values.offer is not None and len(at):
-            yield Moved(s.values.member, s.values, at, (P @ part[:, at].toarray())[s.values.offer.kicked])
+            yield ImpulseTarget(s.values.member, s.values, at, (P @ part[:, at].toarray())[s.values.offer.kicked])

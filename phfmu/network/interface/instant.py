@@ -27,7 +27,7 @@ SOLVED, STALLED, SHRINKING = (_NUMBERS[f"INSTANT_{n}"] for n in ("SOLVED", "STAL
 ITERATIONS = int(_NUMBERS["INSTANT_ITERATIONS"])
 
 
-class Instant:
+class InstantSolver:
     """Solves these equations again and again; the matrix is kept while it contracts."""
 
     def __init__(self) -> None:

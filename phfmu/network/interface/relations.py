@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array
 
 from phfmu.declare.phdae import PHDAE
-from phfmu.events.switch_system import Undetermined
+from phfmu.events.switch_system import UndeterminedDirection
 from phfmu.network.interface.coupled_members import CoupledMembers
 from phfmu.network.interface.shared_jumps import SharedJumps
 from phfmu.network.members.engine_member import EngineMember
@@ -27,7 +27,7 @@ def all_together(joined: CoupledMembers, shared: SharedJumps) -> bool:
     """Whether members land with all others by the events of the composed declaration: some have ideal switches, or guards that
     read what others give, in steps of order 4 and 6 or beside jumps that act on others.
 
-    Their members that are nothing but switches are made relations then.  ValueError where that is the only way, and is barred.
+    Their members that are nothing but switches are made relations then.  Raises ValueError where that is needed and barred.
     """
     switched = [m for m in joined.members if isinstance(m, EngineMember) and m.model.modes is not None]
     reading = any(isinstance(m, EngineMember) and _reads(m, shared) for m in joined.members)
@@ -94,7 +94,7 @@ class Relations:
                 at += n
         self._n = at
         #: directions that no row determines in the present modes, with their columns
-        self.undetermined: list[Undetermined] = []
+        self.undetermined: list[UndeterminedDirection] = []
 
     @property
     def names(self) -> list[str]:

@@ -17,7 +17,7 @@ from phfmu.declare.error import DeclarationError
 from phfmu.engine.port_jumps import JumpKernel, jump_kernel
 from phfmu.network.interface.coupled_members import CoupledMembers
 from phfmu.network.interface.impulse_directions import directions
-from phfmu.network.interface.joint_impulse import EngineParty, Fired, ImpulseSystem, Party, PartyPlace, UnitParty
+from phfmu.network.interface.joint_impulse import EngineParty, FiredEvents, ImpulseSystem, Party, PartyPlace, UnitParty
 from phfmu.network.members.engine_member import EngineMember
 from phfmu.network.members.member import Member
 from phfmu.network.members.node_values import InstanceNodes, Offer, node_values
@@ -51,10 +51,10 @@ class SharedJumps:
                 found[m.name] = own
         return found
 
-    def jump(self, t: float, fired: Mapping[int, Fired]) -> tuple[Array, Array]:
+    def jump(self, t: float, fired: Mapping[int, FiredEvents]) -> tuple[Array, Array]:
         """Moves the states of all members that the jumps of members number i reach.
 
-        Energies that the components of the network got, and what they lost.  EventRefused.
+        Energies that the components of the network got, and what they lost.  Raises EventRefused.
         """
         numbers, own = self.reached(list(fired))
         parties = [self._party(i, fired.get(i)) for i in numbers]
@@ -106,7 +106,7 @@ class SharedJumps:
         through = (face.P @ B).toarray()
         return [through[own] for own in at]
 
-    def _party(self, i: int, fired: Fired | None) -> Party:
+    def _party(self, i: int, fired: FiredEvents | None) -> Party:
         member, kernel = self._joined.members[i], self._kernels[i]
         if isinstance(member, EngineMember):
             assert kernel is not None

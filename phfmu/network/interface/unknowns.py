@@ -227,9 +227,5 @@ class InterfaceUnknowns:
 
 def columns_k(joined: CoupledMembers, k_of: dict[str, int]) -> NDArray[np.int64]:
     """k_J per column of the interface."""
-    face = joined.face
-    out = np.ones(len(face.names), int)
-    starts = [s.start for s in face.sums.values()] + [len(face.names)]
-    for j, start, stop in zip(joined.network.junctions, starts[:-1], starts[1:], strict=True):
-        out[start:stop] = min(k_of[e.member] for e in j.ends)
-    return out
+    least = {j.name: min(k_of[e.member] for e in j.ends) for j in joined.network.junctions}
+    return np.array([least[name] for name in joined.face.junction_of], int)

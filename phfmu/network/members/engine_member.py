@@ -14,7 +14,7 @@ from phfmu.discretise.constant_energy import Constants
 from phfmu.discretise.model import Model, build_model
 from phfmu.engine.impulses import port_kernels
 from phfmu.engine.rest_changes import RestChange
-from phfmu.network.members.columns import Columns, booked, booking
+from phfmu.network.members.columns import SignalColumns, booked, booking
 from phfmu.network.members.consistent import MONOLITHIC, require_consistent
 from phfmu.network.members.event_texts import EventTexts
 from phfmu.network.members.inputs import Inputs, places
@@ -60,7 +60,7 @@ class EngineMember:
             constants=own.constants,
         )
         self._booked = booked(model)
-        self._columns = Columns(model, instance.layout)
+        self._columns = SignalColumns(model, instance.layout)
         self.names = self._columns.names
 
     @property

@@ -68,7 +68,7 @@ class CalledShare:
         self._dy, self._dend = values["dy"], values["dend"]
 
     def _called(self, name: str) -> Callable[..., int]:
-        """As C calls it; what C holds does not keep the member, whose unit may be the only one of its process."""
+        """Return the method `name` as C calls it; the reference is weak, as a unit may be the only one of its process."""
         own = ref(self)
 
         def call(_: int, *args: Any) -> int:
@@ -184,7 +184,7 @@ class CalledShare:
         return self._error
 
     def told(self, rows: Array, t: float, h: float) -> MemberRows:
-        """What was read of its steps."""
+        """Rows of the steps, as they were read from the member at the end of each."""
         own = self._rows[: len(rows)]
         columns, H, ends = (np.array([r[n] for r in own]) for n in ("columns", "H", "ends"))
         missed = np.array([r["missed"] for r in own]) if self._late else None

@@ -20,16 +20,22 @@ from phfmu.gradients.quadrature import nodes
 from phfmu.network.couplings.acceptance import ACCEPTED
 from phfmu.network.couplings.compiled.called_share import EXCHANGED, CalledShare
 from phfmu.network.couplings.compiled.master_library import HEADER, START_TRIALS, library
-from phfmu.network.couplings.compiled.master_pattern import Exchanged, MemberRows, Pattern, ShareTables, exchanged
-from phfmu.network.couplings.compiled.shares import Make, ShareMemory, own_share, watched
-from phfmu.network.couplings.compiled.solvers import Solver, SolverTables, solver_of
+from phfmu.network.couplings.compiled.master_pattern import (
+    ExchangeTables,
+    MasterPattern,
+    MemberRows,
+    ShareTables,
+    exchange_tables,
+)
+from phfmu.network.couplings.compiled.shares import ShareMaker, ShareMemory, own_share, watched
+from phfmu.network.couplings.compiled.solvers import MasterSolver, SolverTables, solver_of
 from phfmu.network.couplings.compiled.threads import ThreadNumber, crew
 from phfmu.network.couplings.coupling import Coupling, Solution, Unconverged
 from phfmu.network.couplings.newton import Newton
 from phfmu.network.couplings.signals.sampled_signals import SampledSignals
-from phfmu.network.couplings.unconverged import Accepting, plain
+from phfmu.network.couplings.unconverged import AcceptingPolicy, plain
 from phfmu.network.interface.coupled_members import CoupledMembers
-from phfmu.network.interface.instant import Instant, regular
+from phfmu.network.interface.instant import InstantSolver, regular
 from phfmu.network.interface.junction_values import JunctionValues
 from phfmu.network.members.member import Member
 from phfmu.outcome.status import Status, StepFailure
@@ -51,18 +57,18 @@ class Master:
         self,
         joined: CoupledMembers,
         coupling: Coupling,
-        found: Exchanged,
-        makes: Sequence[Make],
+        found: ExchangeTables,
+        makes: Sequence[ShareMaker],
         works: bool = False,
         threads: int | None = None,
         signals: SampledSignals | None = None,
     ):
         self.joined, self.coupling, self.found, self._works = joined, plain(coupling), found, works
-        self._keeps = isinstance(coupling, Accepting)
+        self._keeps = isinstance(coupling, AcceptingPolicy)
         #: why the last call did not take all of its steps;  whether the member that refused takes the step when asked again
         self.refusal: BaseException | None = None
         self.passing = False
-        self._pattern, self.memory = Pattern(found), Structures(HEADER)
+        self._pattern, self.memory = MasterPattern(found), Structures(HEADER)
         self._lib = library()
         self._inputs, self._shares = list[Array](), list[dict[str, Any]]()
         #: held signals that members take but by ports, as they are now
@@ -76,7 +82,7 @@ class Master:
         shares = [self._share(i, own) for i, own in enumerate(self._own)]
         tables = SolverTables(joined, found, self._pattern, self.memory, self._lib, np.zeros(found.size))
         self._z = tables.z
-        self._solver: Solver = solver_of(self.coupling)(self.coupling, tables)
+        self._solver: MasterSolver = solver_of(self.coupling)(self.coupling, tables)
         #: the solution and length of the last step that was taken here, which the memory of the loop goes on from
         self._left: tuple[Solution, float] | None = None
         #: steps that were taken here;  rules of the iteration (`ph_rules`)
@@ -88,9 +94,9 @@ class Master:
     def advance(
         self, last: Solution, sums: JunctionValues, grid: tuple[float, float, int], n: int
     ) -> tuple[Steps, Solution]:
-        """As many of n steps k = first.. from t0 + k h (grid: t0, h, first) as are accepted, and where the next goes on from.
+        """Take n steps k = first.. from t0 + k h (grid: t0, h, first); the accepted ones, and the solution at their end.
 
-        `refusal` says why these are not all.
+        `refusal` is the failure that ended them early, None if all were accepted.
         """
         t0, h, first = grid
         parts, self.refusal = list[Steps](), None
@@ -310,7 +316,7 @@ class Master:
         )  # fmt: skip
 
     def _at(self, row: int) -> str:
-        """Where in the step a row is."""
+        """Place of a row in the step, in words."""
         if row >= self.found.nodes:
             return " at the end of the step"
         column = self.found.column[row]
@@ -341,7 +347,7 @@ class Master:
         try:
             self.joined.apply(xi)
             regular(self.joined, self.joined.instant_matrix(xi))
-            Instant().solve(self.joined, xi, t)
+            InstantSolver().solve(self.joined, xi, t)
         except (StepFailure, ValueError) as error:
             return error
         return StepFailure(status, self.joined.network.name, t, h, joined=True, tried="the junctions at one instant")
@@ -458,7 +464,7 @@ class Master:
         }  # fmt: skip
 
 
-def _jump_entries(part: ShareTables, found: Exchanged) -> Array:
+def _jump_entries(part: ShareTables, found: ExchangeTables) -> Array:
     """Places of the S of a member among the blocks of all clusters, -1: at no bare node."""
     cluster = np.searchsorted(found.cluster, part.bare, "right") - 1
     at = np.where(part.bare >= 0, part.bare - found.cluster[cluster], -1)
@@ -483,7 +489,7 @@ def master(
     works: bool = False,
     threads: int | None = None,
     signals: SampledSignals | None = None,
-    share: Callable[[Member], Make] | None = None,
+    share: Callable[[Member], ShareMaker] | None = None,
 ) -> Master:
     """The compiled steps of members under a coupling; what is done with steps that do not converge is asked of its policy.
 
@@ -495,7 +501,7 @@ def master(
     """
     makes = [(share or own_share)(m) for m in joined.members]
     held = signals.held if signals else ()
-    found = exchanged(joined, plain(coupling), held)
+    found = exchange_tables(joined, plain(coupling), held)
     try:
         return Master(joined, coupling, found, makes, works, threads, signals)
     except StructurallySingular as error:

@@ -83,7 +83,7 @@ class MemberRows:
 
 
 @dataclass(frozen=True)
-class Exchanged:
+class ExchangeTables:
     """The lists of `ph_master` for all members; bare columns stand cluster by cluster, `place`: of each in the exchange."""
 
     parts: list[ShareTables]
@@ -123,7 +123,7 @@ class Exchanged:
         return np.concatenate([np.arange(self.nodes), at, at + len(self.bare)]).astype(np.int32)
 
 
-def exchanged(joined: CoupledMembers, coupling: Coupling, held: Sequence[Wire] = ()) -> Exchanged:
+def exchange_tables(joined: CoupledMembers, coupling: Coupling, held: Sequence[Wire] = ()) -> ExchangeTables:
     """The exchange of members under a coupling; `held`: signals that are held over a step."""
     if e := _exchange(coupling):
         shares, columns, C, weights, k, bare = e.shares, e.columns, e.C, e.weights, e.counts, e.bare
@@ -143,7 +143,7 @@ def exchanged(joined: CoupledMembers, coupling: Coupling, held: Sequence[Wire] =
     bare = np.asarray(bare, np.int32)[place]
     least = 1e-12 * np.concatenate([nominal, joined.face.row_nominal[bare]])
     to, from_, values = _ahead(k)
-    return Exchanged(
+    return ExchangeTables(
         [_part(s, where, len(columns), *_held_signals(joined, s.values.member, held)) for s in shares],
         len(k), weights, at_ends, at_starts, columns.astype(np.int32), bare, place,
         skew.row.astype(np.int32), skew.col.astype(np.int32), skew.data,
@@ -154,7 +154,7 @@ def exchanged(joined: CoupledMembers, coupling: Coupling, held: Sequence[Wire] =
 
 
 def _exchange(coupling: Coupling) -> InterfaceUnknowns | None:
-    """Of node values; None: one held value each."""
+    """Unknowns of a coupling that exchanges node values; None where each input is one held value."""
     return coupling.exchange if isinstance(coupling, Newton) else None
 
 
@@ -231,13 +231,13 @@ def _part(s: MemberUnknowns, where: Array, n: int, told: list[str], taken: list[
     )  # fmt: skip
 
 
-class Pattern:
+class MasterPattern:
     """The interface matrix by columns, its elimination order, and where the entries of each part of it are.
 
     StructurallySingular
     """
 
-    def __init__(self, e: Exchanged):
+    def __init__(self, e: ExchangeTables):
         n, nb = e.size, len(e.bare)
         blocks: list[tuple[Array, Array]] = [
             (np.repeat(p.row, len(p.col)), np.tile(p.col, len(p.row))) for p in e.parts

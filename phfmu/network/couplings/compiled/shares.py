@@ -122,10 +122,10 @@ class ShareMemory(Protocol):
 
 
 #: of a part, where structures are kept, and the library of the master
-Make = Callable[[ShareTables, Structures, ctypes.CDLL], ShareMemory]
+ShareMaker = Callable[[ShareTables, Structures, ctypes.CDLL], ShareMemory]
 
 
-def own_share(member: Member) -> Make:
+def own_share(member: Member) -> ShareMaker:
     """The maker of the share of a member: what the master can step itself, and back, it does; others are called back."""
     if not member.saves:
         return CalledShare
@@ -152,7 +152,7 @@ def watched(shares: Sequence[ShareMemory]) -> Iterator[None]:
         exit_guard.current = None
 
 
-def _unit_share(member: Member) -> Make | None:
+def _unit_share(member: Member) -> ShareMaker | None:
     """Runs without units do not load their reader."""
     from phfmu.fmu.importer.access import access
     from phfmu.network.couplings.compiled.unit_share import UnitShare

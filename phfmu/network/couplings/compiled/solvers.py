@@ -1,4 +1,4 @@
-"""Which solver of the compiled master each coupling is, where a call starts and what one leaves.
+"""Solvers of the compiled master by coupling: their tables, the start of a call, and the memory that one leaves.
 
 A solver in C (`ph_solver`) remembers what the next step goes on from.  Solutions keep a copy of it, so that
 a run can go on from an earlier step.
@@ -19,7 +19,7 @@ from phfmu.engine.native.structures import Structures
 from phfmu.network.couplings import anderson
 from phfmu.network.couplings.acceptance import ITERATIONS, KNOWN
 from phfmu.network.couplings.anderson import Anderson
-from phfmu.network.couplings.compiled.master_pattern import Exchanged, Pattern
+from phfmu.network.couplings.compiled.master_pattern import ExchangeTables, MasterPattern
 from phfmu.network.couplings.coupling import Coupling, InTurn, Moves, Solution, Starts
 from phfmu.network.couplings.newton import Continuation, Newton
 from phfmu.network.interface.coupled_members import CoupledMembers
@@ -37,14 +37,14 @@ class SolverTables:
     """The tables that solvers are made of; `z`: the unknowns, which are those of the last step between calls."""
 
     joined: CoupledMembers
-    found: Exchanged
-    pattern: Pattern
+    found: ExchangeTables
+    pattern: MasterPattern
     memory: Structures
     lib: ctypes.CDLL
     z: Array
 
 
-class Solver(Protocol):
+class MasterSolver(Protocol):
     """A solver of the master.
 
     name:        of the function that tells it, less `ph_solver_`
@@ -72,7 +72,7 @@ class Solver(Protocol):
         ...
 
     def memory(self, struct: Any) -> Any:
-        """What the next step goes on from, after the last one of a call."""
+        """Memory that the next step starts from, after the last step of a call."""
         ...
 
 
@@ -110,8 +110,8 @@ class NewtonSolver:
         return Continuation(self._found.copy(), tuple(m.copy() for m in self._missed[: struct.known]))
 
 
-class _Remembering:
-    """What a solver in C goes on from, as it saves it: `ph_solver`."""
+class _MemorySolver:
+    """Solver in C that goes on from a memory of its own, which `ph_solver` saves and loads."""
 
     _t: SolverTables
     sweeps = 0
@@ -133,7 +133,7 @@ class _Remembering:
         return found
 
 
-class AndersonSolver(_Remembering):
+class AndersonSolver(_MemorySolver):
     """Its differences, which a step may add `anderson.ITERATIONS` to."""
 
     name, held, iterations, failure = "anderson", True, anderson.ITERATIONS, None
@@ -155,7 +155,7 @@ class AndersonSolver(_Remembering):
         self.fields = {"found": nothing, "missed": nothing, "memory": ctypes.addressof(own)}
 
 
-class InTurnSolver(_Remembering):
+class InTurnSolver(_MemorySolver):
     """Groups of members that step one after the other."""
 
     name, held, iterations, words, failure = "in_turn", True, 1, "", None
@@ -261,7 +261,7 @@ def _by_row(n: int, rows: list[Any], width: int) -> tuple[Array, Array]:
 
 
 def _sweeps(coupling: Any, joined: CoupledMembers) -> list[list[int]]:
-    """The groups of a coupling in turn; ValueError where they are no sweeps over all members."""
+    """The groups of a coupling in turn; raises ValueError where they are no sweeps over all members."""
     groups, n, name = coupling.groups(joined), len(joined.members), type(coupling).__name__
     every = [i for group in groups for i in group]
     if not every or any(sorted(every[at : at + n]) != list(range(n)) for at in range(0, len(every), n)):

@@ -66,7 +66,7 @@ class ThreadNumber:
         self._parts, self._taken = 0, dict[int, float]()
 
     def part(self, n: int) -> tuple[int, int]:
-        """How many of n steps come next, by how many threads."""
+        """Number of steps of the next part, of n that are left, and of the threads that take it."""
         self._parts += 1
         k = min(n, (MEASURED, TRIED, TRIED, n)[min(self._parts, 4) - 1])
         if self._asked is not None:

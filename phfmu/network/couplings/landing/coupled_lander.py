@@ -22,7 +22,7 @@ from phfmu.engine.native.native_landing import Lent
 from phfmu.network.couplings.coupling import AllSteps
 from phfmu.network.couplings.landing.side_by_side import side_by_side, without_inputs
 from phfmu.network.interface.coupled_members import CoupledMembers
-from phfmu.network.interface.joint_impulse import Fired
+from phfmu.network.interface.joint_impulse import FiredEvents
 from phfmu.network.interface.shared_jumps import SharedJumps
 from phfmu.network.members.engine_member import EngineMember
 from phfmu.network.members.event_texts import EventTexts
@@ -180,7 +180,7 @@ class CoupledLander:
             self._book(found, self._landing.jump(self._check), struck)
         self.anew = {self._joined.members[i].name for i in reached}
         if start:
-            at = {numbers[i]: Fired(_events(self.members[i]), own[i], p[self._p[i]], still.get(i, [])) for i in struck}
+            at = {numbers[i]: FiredEvents(_events(self.members[i]), own[i], p[self._p[i]], still.get(i, [])) for i in struck}
             found += self._shared.jump(t, at)
         return fired, rests, p, struck
 

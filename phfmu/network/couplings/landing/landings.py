@@ -1,4 +1,4 @@
-"""How coupled members land together: those with plain state events, or, with ideal switches, as one composed declaration."""
+"""Landers of coupled members: of those with plain state events or, with ideal switches, of one composed declaration."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ if TYPE_CHECKING:
 def landings(
     joined: CoupledMembers, coupling: Coupling, steps: AllSteps, joined_anew: Callable[[], None]
 ) -> tuple[InterfaceUnknowns | None, CoupledLander | ComposedLander | None, ComposedLander | None]:
-    """The exchange of members at nodes, how they land together, and the same as one with switches; None for what they do not.
+    """Unknowns of the exchange at nodes, the lander of the members, and the same if it has switches; None where there is none.
 
     joined_anew: is called after C of the exchange has changed
-    ValueError for a member that has no steps of its own.
+    Raises ValueError for a member that has no steps of its own.
     """
     exchange = coupling.exchange if isinstance(coupling, Newton) else None
     for m in joined.members:
