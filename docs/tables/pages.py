@@ -26,7 +26,7 @@ def nothing() -> Sequence[Path]:
 
 
 @dataclass(frozen=True)
-class Made:
+class PageBlock:
     """What a command makes: text in Markdown, notes below it, and what `draw` puts into a folder of docs."""
 
     text: str = ""
@@ -37,10 +37,10 @@ class Made:
         return "\n\n".join(part for part in (self.text, "\n".join(f"- {n}" for n in self.notes)) if part)
 
 
-def table(head: Sequence[str], rows: Sequence[Sequence[Any]], digits: str = ".2e", **more: Any) -> Made:
+def table(head: Sequence[str], rows: Sequence[Sequence[Any]], digits: str = ".2e", **more: Any) -> PageBlock:
     """A Markdown table with floats in the format `digits`; `more`: notes and draw."""
     text = [[f"{x:{digits}}" if isinstance(x, float) else str(x) for x in row] for row in rows]
-    return Made("\n".join("| " + " | ".join(r) + " |" for r in [head, ["---"] * len(head), *text]), **more)
+    return PageBlock("\n".join("| " + " | ".join(r) + " |" for r in [head, ["---"] * len(head), *text]), **more)
 
 
 def slopes(errors: Sequence[float], steps: Sequence[float]) -> list[str]:
@@ -79,7 +79,7 @@ def declared(page: str, name: str) -> Callable[..., Any]:
     raise KeyError(f"docs/{page} has no function '{name}'")
 
 
-def write(name: str, made: Made) -> list[Path]:
+def write(name: str, made: PageBlock) -> list[Path]:
     """Replace what stands below the line `python docs/tables <name>` of each page; the pages that hold it."""
     notes = r"(?:\n(?:- .*\n)+)?" if made.notes else ""
     below = re.compile(rf"(^    python docs/tables {name}\n\n)(?:\|.*\n)*{notes}", re.MULTILINE)

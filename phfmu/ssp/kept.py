@@ -65,7 +65,7 @@ NOTHING = Part()
 
 
 @dataclass(frozen=True)
-class Kept:
+class RoundTripContent:
     """Components by member; connectors by member and name; connections by both ends."""
 
     root: Part = NOTHING
@@ -78,7 +78,7 @@ class Kept:
     #: lines about what is not
     lost: tuple[str, ...] = ()
 
-    def of_version(self, version: str) -> Kept:
+    def of_version(self, version: str) -> RoundTripContent:
         """Without meta data, and with a line about them, where SSP has none."""
         parts = [self.root, self.system, *self.components.values()]
         n = sum(len(p.meta) for p in parts)
@@ -87,7 +87,7 @@ class Kept:
         components = {name: replace(p, meta=()) for name, p in self.components.items()}
         line = f"{counted(n, 'element')} of meta data left out: SSP 1.0 has none, --ssp 2.0 keeps them"
         ours = replace(self.root, meta=()), replace(self.system, meta=())
-        return Kept(*ours, components, self.connectors, self.connections, {}, (*self.lost, line))
+        return RoundTripContent(*ours, components, self.connectors, self.connections, {}, (*self.lost, line))
 
     def component(self, member: str) -> Part:
         return self.components.get(member, NOTHING)
@@ -108,7 +108,7 @@ class Kept:
         return self.connectors.get((member, name), NOTHING)
 
 
-def kept(root: Element, source: Source) -> Kept:
+def kept(root: Element, source: Source) -> RoundTripContent:
     """The kept parts of a description that has been read."""
     system = root.find(tag("ssd", "System"))
     components, connectors = {}, {}
@@ -126,7 +126,9 @@ def kept(root: Element, source: Source) -> Kept:
     ours = _part(root, ABOUT, ROOT), _part(system, WORDS, SYSTEM)
     meta = [m for p in (*ours, *components.values()) for m in p.meta]
     files, missing = _files(meta, source)
-    return Kept(*ours, components, connectors, connections, files, (*_lost(system), *_unkept(root, meta), *missing))
+    return RoundTripContent(
+        *ours, components, connectors, connections, files, (*_lost(system), *_unkept(root, meta), *missing)
+    )
 
 
 def _files(meta: Sequence[Element], source: Source) -> tuple[dict[str, bytes], list[str]]:

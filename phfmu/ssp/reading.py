@@ -17,16 +17,16 @@ from phfmu.ssp.package import Package, Within, open_package
 from phfmu.ssp.parameters import Source, bindings, document
 from phfmu.ssp.schema import require_valid
 from phfmu.ssp.structure import (
+    AnnotatedJunction,
+    AnnotatedSignal,
     Component,
     Connection,
     Connector,
-    Joint,
     Linear,
     Reference,
-    Signal,
     SSPError,
+    SSPSystem,
     Structure,
-    System,
     Unit,
     entries,
 )
@@ -94,12 +94,12 @@ class _Reader:
             self.source.lenient,
         )
 
-    def system(self, element: Element) -> System:
+    def system(self, element: Element) -> SSPSystem:
         name = plain(element.get("name", ""))
-        elements: dict[str, Component | System | Reference] = {}
+        elements: dict[str, Component | SSPSystem | Reference] = {}
         for child in _children(element, "Elements"):
             if child.tag == tag("ssd", "System"):
-                new: Component | System | Reference = self.system(child)
+                new: Component | SSPSystem | Reference = self.system(child)
             elif child.tag == tag("ssd", "Component"):
                 new = self.component(child)
             elif child.tag != tag("ssd", "SignalDictionaryReference"):
@@ -111,7 +111,7 @@ class _Reader:
                 raise SSPError(f"{self.where}: two elements of the system '{name}' are called '{new.name}'")
             elements[new.name] = new
         connectors, arrays = self.connectors(element, name)
-        return System(
+        return SSPSystem(
             name,
             elements,
             tuple(self.connections(element)),
@@ -129,7 +129,7 @@ class _Reader:
         root, _ = document(element, None, "ssb", DICTIONARY, self.source)
         return tuple(plain(e.get("name", "")) for e in root.findall(tag("ssb", "DictionaryEntry")))
 
-    def component(self, element: Element) -> Component | System:
+    def component(self, element: Element) -> Component | SSPSystem:
         name, kind, source = plain(element.get("name", "")), element.get("type", FMU), element.get("source", "")
         if kind in (PACKAGE, DEFINITION) and source:
             return self.nested(element, name, kind, source)
@@ -144,7 +144,7 @@ class _Reader:
         files = self.source.package
         return Component(name, source, files, connectors, bound, plain(element.get("description", "")), arrays)
 
-    def nested(self, element: Element, name: str, kind: str, source: str) -> System:
+    def nested(self, element: Element, name: str, kind: str, source: str) -> SSPSystem:
         """The system of another description, whose connectors the component has; what the component binds counts more."""
         if self.depth >= DEEPEST:
             raise SSPError(
@@ -231,18 +231,18 @@ class _Reader:
         )
         return Connection(*start, *end, linear, element.get("suppressUnitConversion", "") in TRUE)
 
-    def joint(self, element: Element) -> Joint:
+    def joint(self, element: Element) -> AnnotatedJunction:
         ends = tuple((plain(e.get("element", "")), plain(e.get("port", ""))) for e in element)
         name, kind = plain(element.get("name", "")), element.get("kind", "")
         if kind not in ("0", "1") or len(ends) < 2 or not name:
             raise SSPError(f"{self.where}: the annotation {PORTS} has a junction '{name}' of kind '{plain(kind)}' with "
                            f"{len(ends)} ends; expected a name, kind 0 or 1, and two ends at least")  # fmt: skip
-        return Joint(name, kind, ends)
+        return AnnotatedJunction(name, kind, ends)
 
-    def signal(self, element: Element) -> Signal:
+    def signal(self, element: Element) -> AnnotatedSignal:
         names = [plain(element.get(k, "")) for k in ("source", "output", "target", "input")]
         linear = Linear(*(self._number(element.get(k, d), k) for k, d in (("factor", "1"), ("offset", "0"))))
-        return Signal((names[0], names[1]), (names[2], names[3]), linear)
+        return AnnotatedSignal((names[0], names[1]), (names[2], names[3]), linear)
 
     def _number(self, text: str, what: str) -> float:
         try:

@@ -28,7 +28,7 @@ from phfmu.network.junction import Junction
 from phfmu.network.network import Network
 from phfmu.network.wires import Wire
 from phfmu.ssp.bonds import joins_plainly
-from phfmu.ssp.kept import CONNECTION, CONNECTOR, META, VERBATIM, Kept
+from phfmu.ssp.kept import CONNECTION, CONNECTOR, META, VERBATIM, RoundTripContent
 from phfmu.ssp.names import DRAFT, NAMESPACES, PORTS, ROOTS, STRUCTURE, tag
 from phfmu.ssp.terminals import one_connection, write_connectors, write_terminals
 from phfmu.ssp.units import write_units
@@ -81,7 +81,7 @@ class Contents:
     stop: float
     step: float
     version: str = "1.0"
-    kept: Kept = Kept()
+    kept: RoundTripContent = RoundTripContent()
 
 
 def write_package(path: Path, contents: Contents) -> list[str]:

@@ -10,7 +10,7 @@ from typing import Any
 
 from phfmu.declare.port import Domain, Given, Port
 from phfmu.fmu import limits
-from phfmu.fmu.export.description import Unit
+from phfmu.fmu.export.description import ExportedUnit
 from phfmu.fmu.export.value_groups import JUMP
 from phfmu.fmu.words import plain
 from phfmu.fmu.xml import Element, etree, number, text_of
@@ -127,7 +127,7 @@ class PortMap:
         return self.displacement_factor * (self.sign if self.given != self.domain.summed else 1.0)
 
 
-def manifest(unit: Unit) -> bytes:
+def manifest(unit: ExportedUnit) -> bytes:
     """The document."""
     root = etree.Element("PowerPorts", nsmap={"fmi-ls": _LS})
     for name, value in (("name", LAYER), ("version", VERSION), ("description", TEXT + OUTWARD * bool(unit.outward))):
@@ -210,7 +210,7 @@ def _add_signals(root: Element, port: Port, k: int) -> None:
         )
 
 
-def _add_impulses(step: Element, unit: Unit) -> dict[str, PortImpulse]:
+def _add_impulses(step: Element, unit: ExportedUnit) -> dict[str, PortImpulse]:
     """The use of impulses by the ports of a unit; empty without."""
     if unit.kernels is None:
         return {}

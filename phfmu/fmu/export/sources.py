@@ -16,7 +16,7 @@ from phfmu.engine.build.runtime_sources import runtime_sources
 from phfmu.engine.build.tables import c_text, events_text
 from phfmu.engine.impulses import PortKernels
 from phfmu.engine.model import kernels
-from phfmu.fmu.export.description import Unit
+from phfmu.fmu.export.description import ExportedUnit
 from phfmu.fmu.export.unit_modes import ROWS, SWITCHES, UnitModes, events_symbol, model_symbol, symbols, unit_modes
 from phfmu.fmu.export.variables import value_name
 from phfmu.fmu.version import VERSIONS, Version
@@ -39,7 +39,7 @@ HAPPENED, LANDING = ("fmu_happened.c",), ("fmu_landing.c",)
 Sources = dict[str, str | Path]
 
 
-def generated(unit: Unit) -> dict[str, str]:
+def generated(unit: ExportedUnit) -> dict[str, str]:
     """kernels.c and model.c, tangents.c where there are inputs, slopes.c with derivatives by parameters, ports.c with impulses,
     guards.c with state events: nothing of the interface.
     """
@@ -60,7 +60,7 @@ def generated(unit: Unit) -> dict[str, str]:
     return made | ({"ports.c": port_text(unit.kernels)} if unit.kernels else {})
 
 
-def token(unit: Unit, equations: dict[str, str]) -> str:
+def token(unit: ExportedUnit, equations: dict[str, str]) -> str:
     """Fingerprint of equations, runtime and all descriptions, in the form of a GUID."""
     digest = hashlib.sha256()
     for name, source in sorted({**fixed(unit), **equations}.items()):
@@ -71,7 +71,7 @@ def token(unit: Unit, equations: dict[str, str]) -> str:
     return f"{{{h[:8]}-{h[8:12]}-{h[12:16]}-{h[16:20]}-{h[20:32]}}}"
 
 
-def fixed(unit: Unit) -> Sources:
+def fixed(unit: ExportedUnit) -> Sources:
     """The hand-written part of it: name -> path."""
     if drivers := unit.drivers():
         absent = (*NODES, *LANDING, *MODES, *ALONG, *(() if unit.lands else HAPPENED))
@@ -91,7 +91,7 @@ def _layers() -> Sources:
     return {p.name: p for p in sorted(RUNTIME.iterdir()) if p.suffix in (".c", ".h")}
 
 
-def complete(unit: Unit, equations: dict[str, str], token: str) -> Sources:
+def complete(unit: ExportedUnit, equations: dict[str, str], token: str) -> Sources:
     """All a library with all versions is compiled from, but the headers of the standard."""
     return {**fixed(unit), **equations, "interface.c": interface_text(unit, token)}
 
@@ -146,7 +146,7 @@ def _c_number(value: float) -> str:
     return number(value) if isfinite(value) else "INFINITY" if value > 0 else "-INFINITY"
 
 
-def interface_text(unit: Unit, token: str) -> str:
+def interface_text(unit: ExportedUnit, token: str) -> str:
     """interface.c: variables, checks and names of the equations."""
     model = unit.model
     kind, symbol, map_of = unit.about

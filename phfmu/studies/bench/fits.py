@@ -118,7 +118,7 @@ def measured(part: float, seed: int) -> Table:
 
 
 @dataclass(frozen=True)
-class Fitted:
+class TimedFit:
     """A fit by exact derivatives and its CPU time [s]."""
 
     found: Fit
@@ -136,7 +136,7 @@ class Fitted:
         return float(off @ np.linalg.solve(self.found.correlation, off) / len(off))
 
 
-class Fits:
+class ShortCircuitFits:
     """Fits of short circuits at a load, all by one compiled model."""
 
     def __init__(self, part: float = LOADED):
@@ -148,14 +148,14 @@ class Fits:
         self.part, self.model = part, build_model(machine(part).with_starts(begin))
         self.instance, self.options = NativeInstance(self.model), Options(stop=STOP, step=STEP)
 
-    def exact(self, seed: int) -> Fitted:
+    def exact(self, seed: int) -> TimedFit:
         """By the derivatives of the steps."""
         from phfmu.derivatives.fits.fit import Experiment, fit
 
         found: list[Fit] = []
         own = [Experiment("short circuit", measured(self.part, seed), self.options, SHORT)]
         spent = cpu_seconds(lambda: found.append(fit(self.model, self.instance, own, list(FREE), MEASURED)))
-        return Fitted(found[0], spent)
+        return TimedFit(found[0], spent)
 
     def differences(self, seed: int, points: str) -> tuple[Array, int, int, float]:
         """By differences of plain runs (`2-point`, `3-point`): values, iterations, runs, CPU time [s]."""
@@ -192,20 +192,20 @@ class Fits:
 
 
 @dataclass(frozen=True)
-class Study:
+class FitStudy:
     """Fits of draws of the noise, those by differences of the first ones, and the first fit of a machine without load."""
 
-    fits: tuple[Fitted, ...]
+    fits: tuple[TimedFit, ...]
     differences: dict[str, tuple[tuple[Array, int, int, float], ...]]
-    unloaded: Fitted
+    unloaded: TimedFit
 
 
 #: of how many draws the fits by differences are taken, in turn with those by exact derivatives
 COMPARED = {"2-point": 5, "3-point": 5}
 
 
-def study(draws: int = DRAWS, progress: Callable[[str], None] = lambda _: None) -> Study:
-    fits, others = Fits(), dict[str, list[tuple[Array, int, int, float]]]()
+def study(draws: int = DRAWS, progress: Callable[[str], None] = lambda _: None) -> FitStudy:
+    fits, others = ShortCircuitFits(), dict[str, list[tuple[Array, int, int, float]]]()
     for part in (LOADED, UNLOADED):
         integrated(part)
     fits.exact(0)  # compiles
@@ -217,7 +217,7 @@ def study(draws: int = DRAWS, progress: Callable[[str], None] = lambda _: None) 
             if seed < most:
                 others.setdefault(points, []).append(fits.differences(seed, points))
     progress("without load")
-    return Study(tuple(found), {k: tuple(v) for k, v in others.items()}, Fits(UNLOADED).exact(0))
+    return FitStudy(tuple(found), {k: tuple(v) for k, v in others.items()}, ShortCircuitFits(UNLOADED).exact(0))
 
 
 def pairs(found: Fit, least: float = 0.95) -> list[tuple[str, str, float]]:
@@ -233,7 +233,7 @@ def within(found: Fit, most: float = 3.0) -> float:
     return float(np.mean(np.abs(drawn).max(axis=1) <= most))
 
 
-def values_table(s: Study) -> str:
+def values_table(s: FitStudy) -> str:
     head = ["name", "true", "first draw", "its standard error", "largest deviation, errors", "draws within 3 errors",
             "without load: standard error"]  # fmt: skip
     lines = [head, ["---"] * len(head)]
@@ -247,7 +247,7 @@ def values_table(s: Study) -> str:
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
-def cost_table(s: Study) -> str:
+def cost_table(s: FitStudy) -> str:
     """In turns on the same draws, medians."""
     first = max(COMPARED.values())
     exact = [f.spent for f in s.fits[:first]]
@@ -267,7 +267,7 @@ def cost_table(s: Study) -> str:
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
-def told(s: Study) -> str:
+def told(s: FitStudy) -> str:
     """The pair of values that a short circuit without load does not tell apart."""
     return "; ".join(f"`{a}` and `{b}`, correlation {c:.4f}" for a, b, c in pairs(s.unloaded.found))
 
@@ -331,7 +331,7 @@ of the same engine. CPU time by one thread, fits in turn on the same draws, medi
 """
 
 
-def draw(s: Study, path: Path) -> None:
+def draw(s: FitStudy, path: Path) -> None:
     """Currents of phase a and the field, measured and fitted, and deviations of all draws."""
     import matplotlib
 
@@ -358,7 +358,7 @@ def draw(s: Study, path: Path) -> None:
     plt.close(figure)
 
 
-def _deviations(ax: Any, fits: Sequence[Fitted]) -> None:
+def _deviations(ax: Any, fits: Sequence[TimedFit]) -> None:
     ax.axvspan(-3, 3, color="#1f6fb4", alpha=0.08, lw=0)
     ax.axvspan(-1, 1, color="#1f6fb4", alpha=0.12, lw=0)
     for place, name in enumerate(FREE):

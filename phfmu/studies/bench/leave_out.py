@@ -18,7 +18,7 @@ H = 0.01
 
 
 @dataclass(frozen=True)
-class Row:
+class LeaveOutRow:
     """One variant: unknowns, state in bytes, kernels and library in bytes, compile in s CPU, FMU in bytes, step in us CPU."""
 
     name: str
@@ -61,7 +61,7 @@ VARIANTS: tuple[tuple[str, Callable[[], PHDAE], tuple[str, ...]], ...] = (
 )
 
 
-def measure(name: str, declaration: PHDAE, versions: tuple[str, ...]) -> Row:
+def measure(name: str, declaration: PHDAE, versions: tuple[str, ...]) -> LeaveOutRow:
     from phfmu.discretise.model import build_model
     from phfmu.engine.build.codegen import kernel_table
     from phfmu.engine.model import kernels
@@ -81,7 +81,7 @@ def measure(name: str, declaration: PHDAE, versions: tuple[str, ...]) -> Row:
         size = library.path.stat().st_size
         paths = export(model, folder, versions=versions, step=H)
         fmu = sum(p.stat().st_size for p in paths)
-    return Row(name, model.step.nw, len(unit.get_state()), len(text), size, seconds, fmu, step_time(unit))
+    return LeaveOutRow(name, model.step.nw, len(unit.get_state()), len(text), size, seconds, fmu, step_time(unit))
 
 
 def step_time(unit, record: tuple[str, ...] = ()) -> float:

@@ -25,7 +25,7 @@ AT_ENDS = ("max(lambda_end[1])",)
 
 
 @dataclass(frozen=True)
-class Case:
+class SweepCase:
     """runs of so many s, with these measures"""
 
     runs: int
@@ -34,13 +34,13 @@ class Case:
 
 
 CASES = (
-    Case(10_000, 1.0, FEW), Case(10_000, 0.01, FEW), Case(100_000, 0.01, FEW), Case(2_000, 1.0, MANY),
-    Case(2_000, 1.0, AT_ENDS),
+    SweepCase(10_000, 1.0, FEW), SweepCase(10_000, 0.01, FEW), SweepCase(100_000, 0.01, FEW), SweepCase(2_000, 1.0, MANY),
+    SweepCase(2_000, 1.0, AT_ENDS),
 )  # fmt: skip
 
 
 @dataclass(frozen=True)
-class Cost:
+class SweepCost:
     """Time of a run in us: of its steps alone, in a sweep by one thread and by `jobs`; what the sweep takes once in ms.
 
     CPU time of one thread, but wall time of `jobs`.
@@ -86,7 +86,7 @@ class _Alone:
         return 1e6 * spent / len(self._values)
 
 
-def measure(case: Case, jobs: int) -> Cost:
+def measure(case: SweepCase, jobs: int) -> SweepCost:
     from phfmu.discretise.model import build_model
     from phfmu.runs.options import Options
     from phfmu.sweeps.design import grid
@@ -114,7 +114,7 @@ def measure(case: Case, jobs: int) -> Cost:
     alone = median(steps)
     one, every = (1e6 * (median(times[n]) - once) / case.runs for n in (1, jobs))
     found = tables[jobs]
-    return Cost(
+    return SweepCost(
         int(found["steps"][0].as_py()), found.num_columns - len(runs.names) - 3, alone, one, every, 1e3 * once, jobs,
         alone / (jobs * every), found.nbytes / case.runs, found.equals(tables[1]),
     )  # fmt: skip
@@ -133,7 +133,7 @@ MORE_TURNS = 5
 
 
 @dataclass(frozen=True)
-class Gain:
+class LaneGain:
     """CPU time of a step of a sweep by one thread in us, each run by itself and several side by side, both with compiled kernels.
 
     gain: median over turns of both;  inside: part of the steps that were taken side by side;  same: whether bits are the same
@@ -146,7 +146,7 @@ class Gain:
     same: bool
 
 
-def gain(name: str, varied: str, measured: str, order: int, stop: float) -> Gain:
+def gain(name: str, varied: str, measured: str, order: int, stop: float) -> LaneGain:
     from phfmu.engine.native.native import NativeInstance
     from phfmu.runs.options import Options
     from phfmu.schemes.named import named_scheme
@@ -176,7 +176,7 @@ def gain(name: str, varied: str, measured: str, order: int, stop: float) -> Gain
     del compiled, made
     a, b = found
     n = 1e-6 * a.steps.sum()
-    return Gain(
+    return LaneGain(
         median(times[0]) / n, median(times[1]) / n, median(x / y for x, y in zip(*times, strict=True)),
         float(b.inside / b.steps.sum()),
         all(getattr(a, part).tobytes() == getattr(b, part).tobytes() for part in ("values", "steps", "ledger")),
@@ -202,7 +202,7 @@ def _seconds(take: Callable[[], object]) -> float:
     return median(cpu_seconds(take) for _ in range(TURNS))
 
 
-def table(cases: Sequence[Case] = CASES, progress: Callable[[str], None] = lambda _: None) -> str:
+def table(cases: Sequence[SweepCase] = CASES, progress: Callable[[str], None] = lambda _: None) -> str:
     """In Markdown."""
     from phfmu.processors import processors
 

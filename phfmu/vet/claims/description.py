@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from phfmu.fmu.importer.inspect import fmu_problems
-from phfmu.vet.finding import Finding, false, holds
+from phfmu.vet.finding import ClaimFinding, false, holds
 from phfmu.vet.subject import Subject
 from phfmu.words import counted
 
@@ -11,7 +11,7 @@ from phfmu.words import counted
 QUOTED = 4
 
 
-def description(subject: Subject) -> Finding:
+def description(subject: Subject) -> ClaimFinding:
     """Schema, units, start values, names and structure of the description, as FMPy's validation and this package judge them."""
     found = [" ".join(p.split()) for p in fmu_problems(subject.path)]
     if found:

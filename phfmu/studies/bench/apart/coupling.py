@@ -30,7 +30,7 @@ LONG = 0.01  # s, their step
 
 
 @dataclass(frozen=True)
-class Row:
+class ApartCost:
     """CPU time of a step in us, medians over turns: composed, members apart; median of the ratios.
 
     own, units: where the time goes per member and step, of native members and of the same as FMUs
@@ -69,7 +69,7 @@ class _Clock:
         self.trials = steps.spent / n
 
 
-def measure(name: str, network: Network, h: float, k: int) -> Row:
+def measure(name: str, network: Network, h: float, k: int) -> ApartCost:
     """Turn by turn, so that what else the machine does falls on all alike."""
     members = instances(planned(network, k))
     clocks = [_Clock(composed(network, k), h, 200), _Clock(joined(network, members), h, 200)]
@@ -80,11 +80,11 @@ def measure(name: str, network: Network, h: float, k: int) -> Row:
     ratio = median(b / a for a, b in zip(one, two, strict=True))
     trials, apart = clocks[1].trials, median(two)
     own, unit = own_time.native(network, k, h), own_time.units(network, k, h)
-    return Row(name, 2 * k, len(members), median(one), apart, ratio, trials, own, unit)
+    return ApartCost(name, 2 * k, len(members), median(one), apart, ratio, trials, own, unit)
 
 
 @dataclass(frozen=True)
-class CouplingRow:
+class CouplingCost:
     """CPU time of a step in us by one of the couplings with one held value; where the own time goes."""
 
     network: str
@@ -95,11 +95,11 @@ class CouplingRow:
     own: OwnTime
 
 
-def by_coupling(name: str, network: Network, h: float) -> list[CouplingRow]:
+def by_coupling(name: str, network: Network, h: float) -> list[CouplingCost]:
     """Members of order 2, turn by turn; couplings that a network cannot be stepped by are left out."""
     from phfmu.network.couplings.coupling_table import COUPLINGS
 
-    models, rows = planned(network, 1), list[CouplingRow]()
+    models, rows = planned(network, 1), list[CouplingCost]()
     for row in (r for r in COUPLINGS.values() if r.apart):
         try:
             clock = _Clock(joined(network, instances(models), coupling=row.kind()), h, 200)
@@ -108,7 +108,7 @@ def by_coupling(name: str, network: Network, h: float) -> list[CouplingRow]:
         for _ in range(ROUNDS):
             clock.turn()
         own = own_time.native(network, 1, h, row.kind())
-        rows.append(CouplingRow(name, len(models), row.name, median(clock.times), clock.trials, own))
+        rows.append(CouplingCost(name, len(models), row.name, median(clock.times), clock.trials, own))
     return rows
 
 
@@ -142,7 +142,7 @@ def star(n: int) -> Network:
 
 
 @dataclass(frozen=True)
-class Growth:
+class NetworkCost:
     """CPU times of a network of many members, order 2.
 
     plans: how many were made;  plan, code, join: s for these, for instances with their libraries, and for what joins them with
@@ -157,7 +157,7 @@ class Growth:
     step: float
 
 
-def growth(make: Callable[[int], Network], n: int) -> Growth:
+def growth(make: Callable[[int], Network], n: int) -> NetworkCost:
     collect()  # plans are shared as long as one is in use
     network = make(n)
     before = thread_time()
@@ -175,7 +175,7 @@ def growth(make: Callable[[int], Network], n: int) -> Growth:
         clock.turn()
     count, plans = len(members), len({id(m.step) for m in models.values()})
     seconds = after_plan - before, after_code - after_plan, after_join - after_code
-    return Growth(count, plans, *seconds, min(clock.times) / count)
+    return NetworkCost(count, plans, *seconds, min(clock.times) / count)
 
 
 NETWORKS = {"ring": ring, "star": star}

@@ -20,7 +20,7 @@ STEP, TURN, TURNS = 1e-4, 200, 5  # s; steps of a turn (threads are started in e
 
 
 @dataclass(frozen=True)
-class Gain:
+class ThreadGain:
     """Wall time in us: of a trial of all members and of a step by one thread, of a step by `threads`, of one composed.
 
     gain, ratio: medians over neighbouring turns, of one thread / all, and of one thread / composed
@@ -69,7 +69,7 @@ class _Turns:
         self.found, self.trials = steps.signals[-1].tobytes(), steps.spent / TURN
 
 
-def gain(members: int, links: int, threads: int) -> Gain:
+def gain(members: int, links: int, threads: int) -> ThreadGain:
     network = chains(members, links)
     models = planned(network, 1)
     turns = [_Turns(joined(network, instances(models), n)) for n in (1, threads)]
@@ -78,7 +78,7 @@ def gain(members: int, links: int, threads: int) -> Gain:
         for each in turns:
             each.take()
     one, every, together = (t.times for t in turns)
-    return Gain(
+    return ThreadGain(
         members, links, threads, median(one) / turns[0].trials, median(one), median(every),
         median(a / b for a, b in zip(one, every, strict=True)), median(a / b for a, b in zip(one, together, strict=True)),
         turns[0].found == turns[1].found,

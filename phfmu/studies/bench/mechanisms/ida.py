@@ -16,31 +16,31 @@ import casadi as ca
 import numpy as np
 
 from phfmu.engine.build.machine_code import compiled
-from phfmu.studies.bench.mechanisms.case import Case
+from phfmu.studies.bench.mechanisms.case import MechanismCase
 from phfmu.studies.bench.mechanisms.lagrange import Array, Lagrange
-from phfmu.studies.bench.precision.candidate import Candidate, Run, missing
-from phfmu.studies.bench.precision.compiled import Buffered
+from phfmu.studies.bench.precision.candidate import Candidate, CandidateRun, missing
+from phfmu.studies.bench.precision.compiled import BufferedFunction
 
 
-def candidates(case: Case) -> Iterator[Candidate]:
+def candidates(case: MechanismCase) -> Iterator[Candidate]:
     if not case.steps.ida:
         return
     if find_spec("sksundae") is None:
         yield missing("SUNDIALS IDA", "not installed; pip install scikit-sundae")
         return
-    equations = Stabilised(case.equations)
+    equations = StabilisedEquations(case.equations)
     for rtol in case.steps.ida:
         yield Candidate("SUNDIALS IDA, GGL", f"rtol={rtol:g}", rtol, lambda r=rtol: _Ida(case, equations, r))
 
 
-class Stabilised:
+class StabilisedEquations:
     """Residual F(t, y, y') and dF/dy + c dF/dy', compiled; the consistent start."""
 
     def __init__(self, equations: Lagrange):
         self.of = equations
 
     @cached_property
-    def _made(self) -> tuple[Buffered, Buffered]:
+    def _made(self) -> tuple[BufferedFunction, BufferedFunction]:
         e = self.of
         m, n = e.g.numel(), e.n
         lam, mu = ca.SX.sym("lambda", m), ca.SX.sym("mu", m)
@@ -51,16 +51,16 @@ class Stabilised:
         )
         matrix = ca.jacobian(full, y) + c * ca.jacobian(full, yp)
         residual = ca.Function("residual", [e.t, y, yp], [ca.densify(full)])
-        return Buffered(compiled(residual)), Buffered(
+        return BufferedFunction(compiled(residual)), BufferedFunction(
             compiled(ca.Function("matrix", [e.t, y, yp, c], [ca.densify(matrix)]))
         )
 
     @property
-    def residual(self) -> Buffered:
+    def residual(self) -> BufferedFunction:
         return self._made[0]
 
     @property
-    def matrix(self) -> Buffered:
+    def matrix(self) -> BufferedFunction:
         return self._made[1]
 
     def start(self) -> tuple[Array, Array]:
@@ -74,7 +74,7 @@ class Stabilised:
 
 
 class _Ida:
-    def __init__(self, case: Case, equations: Stabilised, rtol: float):
+    def __init__(self, case: MechanismCase, equations: StabilisedEquations, rtol: float):
         IDA: Any = import_module("sksundae.ida").IDA
         self._case, self._e = case, equations
         n, m = equations.of.n, equations.of.g.numel()
@@ -97,11 +97,11 @@ class _Ida:
         )  # fmt: skip
         self._start = equations.start()
 
-    def __call__(self, times: Sequence[float], watch: bool = False) -> Run:
+    def __call__(self, times: Sequence[float], watch: bool = False) -> CandidateRun:
         found = self._solver.solve(np.array([0.0, *times]), *self._start)
         if not found.success:
             raise RuntimeError(str(found.message))
         e = self._e.of
         rows = np.array([found.y[-1]]) if len(times) == 1 else np.array(found.y[1:])
         points = np.array([e.place(t, y[: e.n]) for t, y in zip(times, rows, strict=True)])
-        return Run(self._case.flat(points))
+        return CandidateRun(self._case.flat(points))

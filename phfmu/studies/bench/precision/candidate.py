@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Run:
+class CandidateRun:
     """States at the times asked for (times x n1); steps, iterations and the worst ledger residual [J] where they are known.
 
     cpu: CPU time of the run [s] where a process of its own told it
@@ -29,7 +29,7 @@ class Run:
 class Solve(Protocol):
     """Solves from the start to the last of `times`; `watch`: also what costs time to look at (the ledger)."""
 
-    def __call__(self, times: Sequence[float], watch: bool = False) -> Run: ...
+    def __call__(self, times: Sequence[float], watch: bool = False) -> CandidateRun: ...
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
-class Buffered:
+class BufferedFunction:
     """A function of flat arrays without allocation per call: arguments are copied in, the result is a fresh array."""
 
     def __init__(self, f: ca.Function, output: int = 0):

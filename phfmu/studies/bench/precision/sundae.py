@@ -17,16 +17,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.engine.build.machine_code import compiled
-from phfmu.studies.bench.precision.candidate import Candidate, Run, missing
-from phfmu.studies.bench.precision.compiled import Buffered
+from phfmu.studies.bench.precision.candidate import Candidate, CandidateRun, missing
+from phfmu.studies.bench.precision.compiled import BufferedFunction
 from phfmu.studies.bench.precision.peers import absolute
-from phfmu.studies.bench.precision.problem import Problem
-from phfmu.studies.bench.precision.reduced import Reduced, stabilised
+from phfmu.studies.bench.precision.problem import InitialValueProblem
+from phfmu.studies.bench.precision.reduced import ReducedSystem, stabilised
 
 Array = NDArray[np.float64]
 
 
-def candidates(problem: Problem, tolerances: Sequence[float]) -> Iterator[Candidate]:
+def candidates(problem: InitialValueProblem, tolerances: Sequence[float]) -> Iterator[Candidate]:
     if find_spec("sksundae") is None:
         yield missing("SUNDIALS IDA", "not installed; pip install scikit-sundae")
         return
@@ -44,7 +44,7 @@ def candidates(problem: Problem, tolerances: Sequence[float]) -> Iterator[Candid
 class _Functions:
     """Residual F(t, y, y', live) and dF/dy + c dF/dy', compiled; the start."""
 
-    def __init__(self, problem: Problem):
+    def __init__(self, problem: InitialValueProblem):
         system = problem.system
         self.n = system.x.numel()
         y, residual = stabilised(system)
@@ -52,8 +52,8 @@ class _Functions:
         full = ca.vertcat(yp[: self.n], ca.SX.zeros(y.numel() - self.n)) - residual
         matrix = ca.jacobian(full, y) + c * ca.jacobian(full, yp)
         args = [system.t, y, yp, system.live]
-        self.residual = Buffered(compiled(ca.Function("residual", args, [full])))
-        self.matrix = Buffered(compiled(ca.Function("matrix", [*args, c], [ca.densify(matrix)])))
+        self.residual = BufferedFunction(compiled(ca.Function("residual", args, [full])))
+        self.matrix = BufferedFunction(compiled(ca.Function("matrix", [*args, c], [ca.densify(matrix)])))
         self.size = y.numel()
 
     def callbacks(self, live: Array) -> tuple[Callable[..., None], Callable[..., None]]:
@@ -67,7 +67,7 @@ class _Functions:
 
         return residual, matrix
 
-    def start(self, system: Reduced, x: Array, live: Array, t: float) -> tuple[Array, Array]:
+    def start(self, system: ReducedSystem, x: Array, live: Array, t: float) -> tuple[Array, Array]:
         """Consistent y and y' at a state on the constraints (mu = 0)."""
         y, rate, w = np.zeros(self.size), np.zeros(self.size), system.solve_w(t, x, live)
         y[: self.n], y[self.n : self.n + len(w)] = x, w
@@ -76,12 +76,12 @@ class _Functions:
 
 
 class _Ida:
-    def __init__(self, problem: Problem, functions: _Functions, rtol: float):
+    def __init__(self, problem: InitialValueProblem, functions: _Functions, rtol: float):
         self._problem, self._f, self._rtol = problem, functions, rtol
         self._atol = np.full(functions.size, 1e6)
         self._atol[: functions.n] = absolute(problem, rtol)
 
-    def __call__(self, times: Sequence[float], watch: bool = False) -> Run:
+    def __call__(self, times: Sequence[float], watch: bool = False) -> CandidateRun:
         IDA: Any = import_module("sksundae.ida").IDA
         f, system = self._f, self._problem.system
         x, live, out = system.x0, system.live_start, []
@@ -100,4 +100,4 @@ class _Ida:
             rows = (found.y[1:] if len(piece.stops) > 1 else found.y[-1:])[:, : f.n]
             out += list(rows[: len(piece.times)])
             x = rows[-1]
-        return Run(np.array(out))
+        return CandidateRun(np.array(out))
