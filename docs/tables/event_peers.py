@@ -106,7 +106,7 @@ def rectifier() -> Piecewise:
 
 
 def driven(scene: Piecewise, stop: float, to_event: Callable[..., Any]) -> tuple[list[float], float]:
-    """From event to event; `to_event`: segment, t, x -> (guard, None at the stop; t, x)."""
+    """Solve a scene from event to event; `to_event`: segment, t, x -> (guard, None at the stop; t, x)."""
     segment, t, x, times = scene.first, 0.0, scene.x, list[float]()
     while True:
         guard, t, x = to_event(segment, t, x)

@@ -60,7 +60,7 @@ class ClosedFormScene:
 
 
 def known() -> dict[str, ClosedFormScene]:
-    """What tests/reference/event_reference.py solves by hand."""
+    """Scenes that tests/reference/event_reference.py solves by hand."""
     by_hand = independent("event_reference")
     times, ia, idc = by_hand.bridge(0.05)
     apart = by_hand.hard_stop()
@@ -139,7 +139,7 @@ def _apart(k: int, step: float) -> tuple[Any, Any]:
 
 
 def _times(result: Any) -> Array:
-    """Of the events, each of which has a row before and one after it."""
+    """Times of the events, each of which has a row before and one after it."""
     return result.time[np.flatnonzero(np.diff(result.time) == 0)]
 
 
@@ -151,7 +151,7 @@ def ran(scene: Any, k: int, step: float, stop: float | None = None) -> Any:
 
 
 def lost(result: Any, *members: str) -> float:
-    """What jumps took from the energy of these members, or of all."""
+    """Energy that jumps took from these members, or from all [J]."""
     found = {c.component: c.jumps or 0.0 for c in result.ledger.summary().components}
     return -sum(found[m] for m in members or found)
 
@@ -220,7 +220,7 @@ LOSSES: dict[str, tuple[str, Callable[[], tuple[float, float]]]] = {
 
 
 def event_losses() -> PageBlock:
-    """What is booked at a jump, and what the formula says with the values before it."""
+    """Energy booked at a jump, and the formula with the values before it."""
     rows = []
     for what, (formula, measure) in LOSSES.items():
         booked, wanted = measure()

@@ -140,7 +140,7 @@ def _slope(ax: Any) -> None:
 
 
 def _energy(ax: Any) -> None:
-    """Where the energy of one step comes from and where it goes."""
+    """Sources and destinations of the energy of one step."""
     before, after, book = step(STEP)
     coil, plates = (1e3 * float(b - a) for a, b in zip(energies(before), energies(after), strict=True))
     lost, supplied = 1e3 * book["dissipated"], 1e3 * book["supplied"]

@@ -1,4 +1,4 @@
-"""What every table needs: Markdown, observed orders, independent solutions, and its place on a page."""
+"""Parts of every table: Markdown, observed orders, independent solutions, and its place on a page."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def nothing() -> Sequence[Path]:
 
 @dataclass(frozen=True)
 class PageBlock:
-    """What a command makes: text in Markdown, notes below it, and what `draw` puts into a folder of docs."""
+    """The result of a command: text in Markdown, notes below it, and the pictures that `draw` puts into a folder of docs."""
 
     text: str = ""
     notes: tuple[str, ...] = ()

@@ -1,4 +1,4 @@
-"""What the pages beside other tools share: cases that are measured in turns, and panels of CPU time over error."""
+"""Pages beside other tools: cases that are measured in turns, and panels of CPU time over error."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def measured_in_turns(
 
 
 def remarks(found: Mapping[str, tuple[WorkPrecisionProblem, WorkPrecisionTable]]) -> list[str]:
-    """What was said of cases, each line once."""
+    """Remarks on the cases, each line once."""
     return list(dict.fromkeys(f"{name}: {remark}" for name, (_, result) in found.items() for remark in result.remarks))
 
 

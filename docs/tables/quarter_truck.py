@@ -62,7 +62,7 @@ def _truck(coupling: Any, step: float, options: dict[str, float]) -> Result:
 
 
 def _error(result: Result) -> float:
-    """Of the chassis' position, the largest relative to the largest position."""
+    """Largest error of the chassis' position, relative to the largest position."""
 
     def rates(_: float, s: np.ndarray) -> list[float]:
         y, v, x, w = s

@@ -26,8 +26,8 @@ from phfmu.words import meant
 
 @dataclass(frozen=True)
 class PackageOptions:
-    """How units are exported: step, s; FMI version; platforms as in `phfmu.fmu.export.export`; `schemes`: by member; `outward`:
-    ports (`member.port`) whose flow counts out of their unit."""
+    """Options of the export of units: step, s; FMI version; platforms as in `phfmu.fmu.export.export`; `schemes`: by member;
+    `outward`: ports (`member.port`) whose flow counts out of their unit."""
 
     step: float
     fmi: str = "2.0"

@@ -71,7 +71,7 @@ def connector_of(element: Component | SSPSystem | Reference, name: str, where: s
 
 @dataclass(frozen=True)
 class VariableLink:
-    """From an output of one unit to an input of another: input = linear(output); `terminal`: of terminals all the way."""
+    """A link from an output of one unit to an input of another: input = linear(output); `terminal`: of terminals all the way."""
 
     source: str
     output: str
@@ -227,7 +227,7 @@ class _Flattening:
     # -- values -------------------------------------------------------------------------------------------------------
 
     def _bind(self, system: SSPSystem, path: Path) -> None:
-        """Those of outer systems count more, of one element those of the last binding."""
+        """Bind values: outer systems override inner ones, and of one element the last binding counts."""
         for name, element in system.elements.items():
             if isinstance(element, SSPSystem):
                 self._bind(element, (*path, name))

@@ -1,8 +1,8 @@
-"""What a description says that no run needs, kept to be written again: words, geometry, enumerations, meta data, annotations of
-other tools.
+"""Content of a description that no run needs, carried through to be written again: words, geometry, enumerations, meta data,
+annotations of other tools.
 
-Of the outermost system and its own components; what lies deeper is taken apart when it is read, and told.  Signatures of what is
-written anew would be wrong; those of units and of meta data stay.
+Only the outermost system and its own components carry it; what lies deeper is taken apart when it is read, and told.  Signatures
+of what is written anew would be wrong; those of units and of meta data stay.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ NOTHING = Part()
 
 @dataclass(frozen=True)
 class RoundTripContent:
-    """Components by member; connectors by member and name; connections by both ends."""
+    """Parts of a description that no run needs: components by member; connectors by member and name; connections by both ends."""
 
     root: Part = NOTHING
     system: Part = NOTHING
@@ -79,7 +79,7 @@ class RoundTripContent:
     lost: tuple[str, ...] = ()
 
     def of_version(self, version: str) -> RoundTripContent:
-        """Without meta data, and with a line about them, where SSP has none."""
+        """The content that SSP `version` can hold: without meta data, and with a line about them, where it has none."""
         parts = [self.root, self.system, *self.components.values()]
         n = sum(len(p.meta) for p in parts)
         if version != "1.0" or not n:
@@ -101,7 +101,7 @@ class RoundTripContent:
         return [deepcopy(u) for u in self.root.children.get("Units", ()) if u.get("name") not in names]
 
     def annotations(self) -> list[Element]:
-        """Those of other tools at the system."""
+        """Annotations of other tools at the system."""
         return [deepcopy(a) for a in self.system.children.get("Annotations", ())]
 
     def connector(self, member: str, name: str) -> Part:

@@ -67,7 +67,7 @@ def _read(package: Package, where: str, notes: list[str], depth: int, lenient: b
 
 
 class _Reader:
-    """From tags to data; what lxml's schema checks is not checked again.  `depth`: descriptions around this one."""
+    """Reader of tags into data; what lxml's schema checks is not checked again.  `depth`: descriptions around this one."""
 
     def __init__(self, source: Source, depth: int):
         self.source, self.where, self.depth = source, source.where, depth
@@ -174,7 +174,7 @@ class _Reader:
         return replace(found.system, name=name, bindings=bound)
 
     def connectors(self, element: Element, owner: str) -> tuple[dict[str, Connector], dict[str, tuple[int, ...]]]:
-        """Those of an element, of arrays their entries; and the sizes of the arrays."""
+        """Connectors of an element, of arrays their entries; and the sizes of the arrays."""
         found: dict[str, Connector] = {}
         arrays: dict[str, tuple[int, ...]] = {}
         for c in _children(element, "Connectors"):
@@ -202,7 +202,7 @@ class _Reader:
         return shape
 
     def connections(self, system: Element) -> Iterator[Connection]:
-        """Those of a system, those of terminals as those of their members."""
+        """Connections of a system, with those of terminals resolved into those of their members."""
         owners = {"": system} | {plain(e.get("name", "")): e for e in _children(system, "Elements")}
         terminals = {
             (owner, name): type_of(c, self.types, f"{self.where}: '{owner or plain(system.get('name', ''))}.{name}'")

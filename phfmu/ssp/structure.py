@@ -64,7 +64,7 @@ def entries(name: str, shape: tuple[int, ...]) -> list[str]:
 
 @dataclass(frozen=True)
 class Connection:
-    """Between connectors of elements, or (element "") of the system itself; `suppress`: no conversion of units;
+    """A connection of two connectors of elements, or (element "") of the system itself; `suppress`: no conversion of units;
     `terminal`: of members of two terminals.
     """
 

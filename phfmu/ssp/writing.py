@@ -162,7 +162,7 @@ def parameter_set(values: Mapping[str, float], unit: UnitFile, version: str) -> 
 
 
 def _is_output(units: Mapping[str, UnitFile], wire: Wire) -> bool:
-    """Whether a signal begins at an output, as connections do."""
+    """True if a signal begins at an output, as connections do."""
     return units[wire.source].interface.variables[wire.output].causality == "output"
 
 
@@ -252,7 +252,7 @@ def _component(parent: Element, name: str, unit: UnitFile, contents: Contents) -
 
 
 def _told(unit: UnitFile, v: Scalar) -> bool:
-    """Whether the unit of a variable is one, and defined."""
+    """True if the unit of a variable is one, and defined."""
     return v.unit != "1" and v.unit in unit.interface.units
 
 

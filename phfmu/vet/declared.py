@@ -64,7 +64,7 @@ def declared(path: Path, version: str) -> DeclaredAttributes:
 
 
 def _limits(numbers: Any, types: Mapping[Any, Any]) -> tuple[float | None, float | None]:
-    """Of a variable itself, else of its declared type."""
+    """Limits (min, max) of a variable itself, else of its declared type."""
     own = types.get(numbers.get("declaredType"))
     of_type = {} if own is None else dict(next(iter(own), own).attrib) | dict(own.attrib)
     low, high = (numbers.get(k, of_type.get(k)) for k in ("min", "max"))

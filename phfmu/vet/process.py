@@ -49,7 +49,7 @@ class VettingResult:
         return [claim.name for claim, finding in self.findings if finding.verdict == FALSE]
 
     def as_data(self) -> dict[str, Any]:
-        """What `--json` writes."""
+        """The data that `--json` writes."""
         told = [{"claim": c.name, "verdict": f.verdict, "seen": f.seen, "done": c.done} for c, f in self.findings]
         return {"unit": self.unit, "claims": told}
 

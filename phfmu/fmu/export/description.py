@@ -224,7 +224,7 @@ def generation_tool() -> str:
 
 
 def generation_date() -> str | None:
-    """From SOURCE_DATE_EPOCH; without it there is no date, so that the same model gives the same bytes."""
+    """The date of SOURCE_DATE_EPOCH; without it there is no date, so that the same model gives the same bytes."""
     epoch = os.environ.get("SOURCE_DATE_EPOCH")
     return datetime.fromtimestamp(int(epoch), UTC).strftime("%Y-%m-%dT%H:%M:%SZ") if epoch else None
 

@@ -15,7 +15,7 @@ from phfmu.fmu.xml import Element, etree, text_of
 
 
 def terminals(unit: ExportedUnit, version: Version) -> bytes | None:
-    """Those of a unit of one FMI version: the document, or None without external ports or if it is not wanted."""
+    """The document of a unit of one FMI version, or None without external ports or if it is not wanted."""
     ports = [p for p in unit.declaration.ports if p.external and not p.signal]
     if not ports or not unit.terminals:
         return None

@@ -96,7 +96,7 @@ class Child:
         return self._answers.get(timeout=max(left, 0.0))
 
     def _end(self) -> str:
-        """How the process ended, in words."""
+        """The end of the process in words: exit code or signal."""
         try:
             code = self._process.wait(PATIENCE)
         except subprocess.TimeoutExpired:

@@ -187,5 +187,5 @@ class RemoteSlave:
 
 
 def slave_of(unit: ExtractedUnit, name: str, early_return: bool, isolate: float | None) -> AnySlave:
-    """In this process, or in one of its own, where a call may take `isolate` s."""
+    """A slave in this process, or in one of its own, where a call may take `isolate` s."""
     return Slave(unit, name, early_return) if isolate is None else RemoteSlave(unit, name, early_return, isolate)

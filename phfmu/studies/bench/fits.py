@@ -149,7 +149,7 @@ class ShortCircuitFits:
         self.instance, self.options = NativeInstance(self.model), Options(stop=STOP, step=STEP)
 
     def exact(self, seed: int) -> TimedFit:
-        """By the derivatives of the steps."""
+        """A fit by the derivatives of the steps."""
         from phfmu.derivatives.fits.fit import Experiment, fit
 
         found: list[Fit] = []
@@ -158,7 +158,7 @@ class ShortCircuitFits:
         return TimedFit(found[0], spent)
 
     def differences(self, seed: int, points: str) -> tuple[Array, int, int, float]:
-        """By differences of plain runs (`2-point`, `3-point`): values, iterations, runs, CPU time [s]."""
+        """A fit by differences of plain runs (`2-point`, `3-point`): values, iterations, runs, CPU time [s]."""
         from dataclasses import replace
 
         from scipy.optimize import least_squares

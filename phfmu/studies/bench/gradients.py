@@ -39,7 +39,7 @@ CASES = (
 
 @dataclass(frozen=True)
 class GradientCost:
-    """us of a step: forward, all columns off;  forward with the tape;  back, for one measure, by all parameters and starts.
+    """Times of a step [us]: forward, all columns off;  with the tape;  back, for one measure, by all parameters and starts.
 
     schur: whether the steps were the Schur stepper's
     """
@@ -95,7 +95,7 @@ def built(case: GradientCase) -> tuple[Model, float]:
 
 
 def measure(case: GradientCase) -> GradientCost:
-    """In turns, medians."""
+    """Times of one case, medians over turns."""
     from phfmu.engine.native.native import NativeInstance
     from phfmu.engine.native.reverse import NativeReverse, NativeTape, RowBars
 
@@ -134,8 +134,8 @@ def _steps(instance: Any, h: float) -> int:
 
 @dataclass(frozen=True)
 class TapeMemory:
-    """Of a run of so many steps that keeps no tape but the last stretch: bytes kept, s of the run with all columns off, of the
-    stretches that are run again, and of the whole way back, these included."""
+    """Memory and times of a run of so many steps that keeps no tape but the last stretch: bytes kept, s of the run with all
+    columns off, of the stretches that are run again, and of the whole way back, these included."""
 
     steps: int
     kept: int

@@ -1,4 +1,4 @@
-"""How time, memory and code grow with the size of a model."""
+"""Growth of time, memory and code with the size of a model."""
 
 from __future__ import annotations
 

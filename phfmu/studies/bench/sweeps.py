@@ -26,7 +26,7 @@ AT_ENDS = ("max(lambda_end[1])",)
 
 @dataclass(frozen=True)
 class SweepCase:
-    """runs of so many s, with these measures"""
+    """A sweep of so many runs of `stop` s, with these measures."""
 
     runs: int
     stop: float

@@ -45,7 +45,7 @@ class Exclusion(StrEnum):
 
 @dataclass
 class FaultOutcome:
-    """Of a case: who is guilty, what was said first, who was named; `left_out`: why it does not count, "" if it does.
+    """The outcome of a case: the guilty member, the first sentence, the name in it; `left_out`: why it does not count, or "".
 
     control:  members and junctions that are named in the run without the fault
     """
@@ -160,7 +160,7 @@ def _left_out(member: FaultyMember) -> str:
 
 
 def _judge(found: FaultOutcome, log: Path) -> None:
-    """Who is named first, and whether it is the one."""
+    """Judge whether the member or junction that is named first is the guilty one."""
     told = _findings(log)
     right = {("member", found.guilty)}
     if found.where is FaultPlace.CONNECTION:

@@ -36,7 +36,7 @@ class FaultKind(StrEnum):
 
 
 class FaultPlace(StrEnum):
-    """Where a fault is, by what the books of the member say of it."""
+    """The place of a fault, by what the books of the member say of it."""
 
     CONNECTION = "connection"
     MEMBER = "member with books"
@@ -65,7 +65,7 @@ class PlantedFault:
 
 @dataclass(frozen=True)
 class SignalHistory:
-    """What a faulty signal remembers, of the steps that were taken so far: values given, values used, outputs at ends, means."""
+    """The memory of a faulty signal over the steps so far: values given, values used, outputs at ends, means."""
 
     given: tuple[float, ...] = ()
     used: float = 0.0
@@ -230,5 +230,5 @@ def _columns(member: EngineMember) -> list[int]:
 
 
 def _unbooked(member: EngineMember) -> Booking:
-    """As of a unit of another tool: its free ports, estimated."""
+    """Booking of a member without books, like a unit of another tool: its free ports, estimated."""
     return Booking((member.name,), tuple(PortKey(member.name, p, quality=Quality.ESTIMATED) for p in member.places))

@@ -148,7 +148,7 @@ class _GrowingTree:
 
 
 def _driven(member: PHDAE, frequency: float) -> PHDAE:
-    """With a sine at the port of its own, whose work is booked; frequency [rad/s]."""
+    """The member with a sine at the port of its own, whose work is booked; frequency [rad/s]."""
     port = member.ports[0]
     w = parameter("drive.w", frequency, unit="rad/s")
     source = Port("drive", port.domain, port.given, port.on, source=ca.SX(ca.sin(w.sx * time)))

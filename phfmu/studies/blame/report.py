@@ -60,7 +60,7 @@ at least 190 are hits, and at most 2 name an innocent one, or one in a run witho
 
 @dataclass
 class CampaignResult:
-    """What came of the cases of a seed; `left_out`: kind of fault and reason -> draws."""
+    """Outcomes of the cases of a seed; `left_out`: kind of fault and reason -> draws."""
 
     seed: int
     outcomes: list[FaultOutcome] = field(default_factory=list)

@@ -61,7 +61,7 @@ def between(angle: float, hard: bool) -> StressOutcome:
 
 
 def bits(rows: list[Any]) -> tuple[bool, float]:
-    """Whether all are the same to the last bit, and how far they are apart."""
+    """True if all are the same to the last bit, and their largest distance."""
     worst = max(float(np.abs(r - rows[0]).max()) for r in rows)
     return all(r.tobytes() == rows[0].tobytes() for r in rows), worst
 

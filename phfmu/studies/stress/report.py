@@ -29,7 +29,7 @@ def short(line: StressResult) -> str:
 
 
 def tally(lines: Sequence[StressResult]) -> str:
-    """How many of each verdict."""
+    """Counts of the verdicts, in words."""
     found = Counter(line.verdict for line in lines)
     return ", ".join(f"{found[v]} {v.value.lower()}" for v in Verdict if found[v])
 

@@ -159,7 +159,7 @@ def feedthrough(subject: Subject) -> ClaimFinding:
 
 
 def _follows(trial: UnitTrial, y: References, j: int) -> np.ndarray:
-    """Which outputs change as input j is moved between steps; it is moved back."""
+    """Mask of the outputs that change as input j is moved between steps; it is moved back."""
     subject = trial.subject
     u = trial.slave.get(trial.u).copy()
     before = trial.slave.get(y).copy()

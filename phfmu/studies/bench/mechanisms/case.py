@@ -70,7 +70,7 @@ class MechanismCase:
 
     @cached_property
     def equations(self) -> Lagrange:
-        """In coordinates of joints."""
+        """Lagrange's equations in coordinates of joints."""
         if self.lagrange is not None:
             return self.lagrange
         assert self.assembly is not None, self.name

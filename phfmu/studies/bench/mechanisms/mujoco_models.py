@@ -70,7 +70,7 @@ def _bodies(assembly: RigidBodySystem, parent: int, origin: Array, sites: dict[i
 
 
 def origins(assembly: RigidBodySystem) -> dict[int, Array]:
-    """Where the frames of the bodies are at the start."""
+    """Origins of the frames of the bodies at the start [m]."""
     return {GROUND: np.zeros(3), **{link.b: link.at for link in assembly.tree}}
 
 

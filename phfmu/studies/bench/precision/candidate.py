@@ -51,7 +51,7 @@ class NotAvailable(Exception):
 
 
 def missing(peer: str, why: str) -> Candidate:
-    """In place of the candidates of a peer that is not there: one line in the remarks, with the remedy in `why`."""
+    """The candidate that stands for a peer that is not there: one line in the remarks, with the remedy in `why`."""
 
     def prepare() -> Solve:
         raise NotAvailable(why)

@@ -45,7 +45,8 @@ class SolutionErrors:
 
 
 class WorkPrecisionProblem(Protocol):
-    """What is measured: `grid` holds the times of comparison and the stop time [s], `judged` names what errors are of."""
+    """A problem whose solutions are compared: `grid` holds the times of comparison and the stop time [s], `judged` names the
+    variables in the errors."""
 
     @property
     def name(self) -> str: ...
