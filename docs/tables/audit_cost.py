@@ -68,7 +68,7 @@ def audit_cost() -> PageBlock:
         none = found["none"]
         more = {kept: 100 * median(b / a - 1 for a, b in zip(none, found[kept], strict=True)) for kept in KEPT[1:]}
         rows.append([name, f"{median(none):.1f}", *(f"{median(found[k]):.1f} ({x:+.1f} %)" for k, x in more.items())])
-    about = f"{machine.processor()}; load {before} before, {machine.load()} after"
+    about = machine.machine_line(before)
     return table(["run", *KEPT], rows, notes=(about,))
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from events import instance, known, landed
 from pages import Array, PageBlock, independent, table
 
-from phfmu.studies.bench.machine import load, processor, versions
+from phfmu.studies.bench.machine import machine_line, versions
 
 TURNS = 9  # of which the median counts
 #: grid steps of our own runs, tolerances of the others
@@ -196,7 +196,7 @@ def measured() -> dict[str, list[EventEntry]]:
 
 
 def notes() -> tuple[str, ...]:
-    about = f"{processor()}; load {load()}; one thread, CPU time, median of {TURNS} turns taken in rotation"
+    about = f"{machine_line()}; one thread, CPU time, median of {TURNS} turns taken in rotation"
     return (about, versions(("phfmu", "numpy", "scipy", "scikit-sundae")))
 
 

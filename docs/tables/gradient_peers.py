@@ -18,7 +18,7 @@ from pages import DOCS, Array, PageBlock, table
 
 from phfmu import Collocated, Event, NativeInstance, Options, RunFunction, build_model
 from phfmu.components.electrical import synchronous_machine
-from phfmu.studies.bench.machine import load, processor, versions
+from phfmu.studies.bench.machine import machine_line, versions
 from phfmu.studies.bench.precision.reduced import ReducedSystem, live_values, reduced
 
 TURNS, STOP = 5, 0.2
@@ -218,7 +218,7 @@ def gradient_peers() -> PageBlock:
     for e in measured():
         alone, both = (median(t) for t in zip(*e.spent, strict=True))
         rows.append([e.method, e.setting, e.error, f"{1e3 * alone:.2f}", f"{1e3 * both:.2f}", f"{both / alone:.1f}"])
-    about = f"{processor()}; load {load()}; CPU time of the process, median of {TURNS} turns taken in rotation"
+    about = f"{machine_line()}; CPU time of the process, median of {TURNS} turns taken in rotation"
     notes = (about, versions(("phfmu", "numpy", "scipy", "casadi", "jax", "diffrax")))
     head = ["method", "setting", "error of the gradient", "value, ms", "with gradient, ms", "with gradient/value"]
     return table(head, rows, ".1e", notes=notes, draw=_draw)

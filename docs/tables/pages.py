@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from phfmu.studies.markdown import markdown_table
+
 Array = NDArray[np.float64]
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -40,7 +42,7 @@ class PageBlock:
 def table(head: Sequence[str], rows: Sequence[Sequence[Any]], digits: str = ".2e", **more: Any) -> PageBlock:
     """A Markdown table with floats in the format `digits`; `more`: notes and draw."""
     text = [[f"{x:{digits}}" if isinstance(x, float) else str(x) for x in row] for row in rows]
-    return PageBlock("\n".join("| " + " | ".join(r) + " |" for r in [head, ["---"] * len(head), *text]), **more)
+    return PageBlock(markdown_table(head, text), **more)
 
 
 def slopes(errors: Sequence[float], steps: Sequence[float]) -> list[str]:

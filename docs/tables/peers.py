@@ -30,7 +30,7 @@ def measured_in_turns(
         for said in result.remarks:
             print(f"{name}: {said}", file=sys.stderr, flush=True)
         found[name] = (case, result)
-    about = f"{machine.processor()}; load {before} before, {machine.load()} after; one thread, CPU time, median of {turns} turns"
+    about = f"{machine.machine_line(before)}; one thread, CPU time, median of {turns} turns"
     return found, about
 
 

@@ -94,7 +94,7 @@ def scaling(name: str, sizes: Sequence[int]) -> PageBlock:
     rows.append(["~ n^", "", *(p[c] for c in GROWTH[:-1]), "", p["iteration"]])
     parts = FAMILIES[name].parts
     head = [parts, "unknowns", "declare s", "plan s", "C kB", "compile s", "memory MB", "µs/step", "its", "µs/it"]
-    about = f"{machine.processor()}; load {before} before, {machine.load()} after; process CPU time"
+    about = f"{machine.machine_line(before)}; process CPU time"
     return table(head, rows, ".3g", notes=(about,), draw=draw_scaling)
 
 

@@ -17,8 +17,8 @@ from phfmu.network.scene import Scene
 from phfmu.schemes.scheme import Scheme
 from phfmu.ssp.bonds import joins_plainly
 from phfmu.ssp.flat import identifier
-from phfmu.ssp.kept import RoundTripContent
 from phfmu.ssp.names import DRAFT, VERSIONS
+from phfmu.ssp.round_trip import RoundTripContent
 from phfmu.ssp.structure import SSPError
 from phfmu.ssp.writing import Contents, write_package
 from phfmu.words import meant

@@ -11,10 +11,10 @@ from phfmu.fmu import limits
 from phfmu.fmu.export.variables import FMUError
 from phfmu.fmu.words import plain
 from phfmu.fmu.xml import Element, parse
-from phfmu.ssp.kept import kept
 from phfmu.ssp.names import DEFINITION, DICTIONARY, FMU, NAMESPACES, PACKAGE, PORTS, tag
 from phfmu.ssp.package import Package, Within, open_package
 from phfmu.ssp.parameters import Source, bindings, document
+from phfmu.ssp.round_trip import round_trip_content
 from phfmu.ssp.schema import require_valid
 from phfmu.ssp.structure import (
     AnnotatedJunction,
@@ -90,7 +90,7 @@ class _Reader:
             self._number(times["stopTime"], "stopTime") if "stopTime" in times else None,
             None if step is None else self._number(step, "step"),
             tuple(self.source.notes),
-            kept(root, self.source),
+            round_trip_content(root, self.source),
             self.source.lenient,
         )
 

@@ -170,7 +170,7 @@ class Structure:
     stop: float | None = None
     step: float | None = None
     notes: tuple[str, ...] = ()
-    #: what no run needs, to be written again (`kept.py`)
+    #: what no run needs, to be written again (`round_trip.py`)
     kept: object = None
     #: whether units of measurement that are not defined count as not told
     lenient: bool = False

@@ -28,8 +28,8 @@ from phfmu.network.junction import Junction
 from phfmu.network.network import Network
 from phfmu.network.wires import Wire
 from phfmu.ssp.bonds import joins_plainly
-from phfmu.ssp.kept import CONNECTION, CONNECTOR, META, VERBATIM, RoundTripContent
 from phfmu.ssp.names import DRAFT, NAMESPACES, PORTS, ROOTS, STRUCTURE, tag
+from phfmu.ssp.round_trip import CONNECTION, CONNECTOR, META, VERBATIM, RoundTripContent
 from phfmu.ssp.terminals import one_connection, write_connectors, write_terminals
 from phfmu.ssp.units import write_units
 

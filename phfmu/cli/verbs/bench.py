@@ -99,32 +99,17 @@ def _scaling(args: argparse.Namespace) -> int:
 
 
 def _leave_out(args: argparse.Namespace) -> int:
-    from pathlib import Path
-
-    from phfmu.cli.codes import FINE
     from phfmu.studies.bench.leave_out import page, table
 
-    if args.output:
-        Path(args.output).write_text(page())
-        print(f"page: {args.output}")
-    else:
-        print(table())
-    return FINE
+    return _paged(args, page, table)
 
 
 def _coupling(args: argparse.Namespace) -> int:
-    from pathlib import Path
+    from functools import partial
 
-    from phfmu.cli.codes import FINE
     from phfmu.studies.bench.apart.coupling import page, table
 
-    with Line() as progress:
-        text = page(progress) if args.output else table(_names(args.families), progress)
-    if args.output:
-        Path(args.output).write_text(text, encoding="utf-8")
-        text = f"page: {args.output}"
-    print(text)
-    return FINE
+    return _paged(args, page, partial(table, _names(args.families)))
 
 
 def _sweep(args: argparse.Namespace) -> int:

@@ -18,7 +18,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.studies.bench.machine import cpu_seconds, load, processor
+from phfmu.studies.bench.machine import cpu_seconds, machine_line
+from phfmu.studies.markdown import markdown_table
 
 if TYPE_CHECKING:
     from phfmu.components.electrical import MachineData
@@ -236,35 +237,34 @@ def within(found: Fit, most: float = 3.0) -> float:
 def values_table(s: FitStudy) -> str:
     head = ["name", "true", "first draw", "its standard error", "largest deviation, errors", "draws within 3 errors",
             "without load: standard error"]  # fmt: skip
-    lines = [head, ["---"] * len(head)]
+    rows = []
     for name, x in true().items():
         off = np.abs([f.off[name] for f in s.fits])
         first, errors = s.fits[0].found, s.unloaded.found.errors
-        lines.append([
+        rows.append([
             name, f"{x:.4g}", f"{first.values[name]:.4g}", f"{100 * first.errors[name] / x:.2g} %", f"{off.max():.2f}",
             f"{int((off <= 3).sum())} of {len(off)}", f"{100 * errors[name] / x:.2g} %",
         ])  # fmt: skip
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+    return markdown_table(head, rows)
 
 
 def cost_table(s: FitStudy) -> str:
-    """In turns on the same draws, medians."""
+    """A table of iterations, runs and CPU times, medians over draws that all fits are made of in turns."""
     first = max(COMPARED.values())
     exact = [f.spent for f in s.fits[:first]]
     head = ["derivatives", "iterations", "runs", "CPU, s", "to exact ones", "largest difference to exact, errors"]
-    lines = [head, ["---"] * len(head)]
     few = [f.found for f in s.fits[:first]]
-    lines.append(["exact", f"{median(f.iterations for f in few):g}", f"{median(f.runs for f in few):g}",
-                  f"{median(exact):.2f}", "1", "-"])  # fmt: skip
+    rows = [["exact", f"{median(f.iterations for f in few):g}", f"{median(f.runs for f in few):g}",
+             f"{median(exact):.2f}", "1", "-"]]  # fmt: skip
     for points, others in s.differences.items():
         ratio = median(o[3] / e for o, e in zip(others, exact, strict=False))
         apart = max(
             float(np.max(np.abs(o[0] - list(f.values.values())) / list(f.errors.values())))
             for o, f in zip(others, few, strict=False)
         )
-        lines.append([points, f"{median(o[1] for o in others):g}", f"{median(o[2] for o in others):g}",
-                      f"{median(o[3] for o in others):.2f}", f"{ratio:.1f}", f"{apart:.0e}"])  # fmt: skip
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+        rows.append([points, f"{median(o[1] for o in others):g}", f"{median(o[2] for o in others):g}",
+                     f"{median(o[3] for o in others):.2f}", f"{ratio:.1f}", f"{apart:.0e}"])  # fmt: skip
+    return markdown_table(head, rows)
 
 
 def told(s: FitStudy) -> str:
@@ -273,11 +273,9 @@ def told(s: FitStudy) -> str:
 
 
 def table(progress: Callable[[str], None] = lambda _: None) -> str:
-    """In Markdown."""
+    """Both tables in Markdown, the pair that a machine without load leaves open, and the machine."""
     s = study(progress=progress)
-    return (
-        f"{values_table(s)}\n\n{cost_table(s)}\n\nwithout load go together: {told(s)}\n\n{processor()}; load {load()}"
-    )
+    return f"{values_table(s)}\n\n{cost_table(s)}\n\nwithout load go together: {told(s)}\n\n{machine_line()}"
 
 
 PAGE = """# Fits
@@ -327,7 +325,7 @@ of the same engine. CPU time by one thread, fits in turn on the same draws, medi
 
 {cost_table(s)}
 
-{processor()}; load {load()}
+{machine_line()}
 """
 
 

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from phfmu.studies.bench.machine import cpu_seconds, load, processor
+from phfmu.studies.bench.machine import cpu_seconds, machine_line
+from phfmu.studies.markdown import markdown_table
 
 if TYPE_CHECKING:
     from phfmu.declare.phdae import PHDAE
@@ -166,19 +167,18 @@ def long_run(name: str = "smib", order: int = 2, steps: int = LONG) -> TapeMemor
 
 
 def table(cases: Sequence[GradientCase] = CASES, progress: Callable[[str], None] = lambda _: None) -> str:
-    """In Markdown."""
+    """The costs of all cases in Markdown, and the machine."""
     head = [
         "model", "order", "parameters", "states", "unknowns", "stepped by", "run us", "with tape us", "back us", "gradient/run",
     ]  # fmt: skip
-    lines = ["| " + " | ".join(head) + " |", "|" + " --- |" * len(head)]
+    rows = []
     for case in cases:
         progress(f"{case.name}, order {case.order}")
         c = measure(case)
-        lines.append(
-            f"| {case.name} | {case.order} | {c.parameters} | {c.states} | {c.unknowns} | {'Schur' if c.schur else 'Newton'} | "
-            f"{c.forward:.2f} | {c.taped:.2f} | {c.back:.2f} | {c.ratio:.2f} |"
-        )
-    return "\n".join([*lines, "", f"{processor()}; load {load()}"])
+        times = (f"{x:.2f}" for x in (c.forward, c.taped, c.back, c.ratio))
+        stepper = "Schur" if c.schur else "Newton"
+        rows.append([case.name, case.order, c.parameters, c.states, c.unknowns, stepper, *times])
+    return f"{markdown_table(head, rows)}\n\n{machine_line()}"
 
 
 PAGE = """# Gradients

@@ -22,6 +22,7 @@ from phfmu.outcome.status import StepFailure
 from phfmu.outcome.steps import balance
 from phfmu.schemes.named import named_scheme
 from phfmu.schemes.scheme_names import ORDERS, SCHEMES
+from phfmu.studies.markdown import markdown_table
 
 Array = NDArray[np.float64]
 
@@ -189,10 +190,10 @@ def table(rows: list[OrderRow]) -> str:
     fits = [m for m in methods() if any(m in r.ledger for r in rows)]
     exact = [m for m in fits if m.scheme != "midpoint"]
     head = ["target", *map(str, fits), "worst ledger"]
-    lines = [head, ["---"] * len(head)]
+    lines = []
     for r in rows:
         worst = max((r.ledger[m] for m in exact if m in r.ledger), default=float("nan"))
         lines.append([r.target, *(r.cells.get(m, "") for m in fits), f"{worst:.0e}"])
     closing = [max(r.ledger[m] for r in rows if m in r.ledger) for m in fits]
     lines.append(["worst ledger", *(f"{c:.0e}" for c in closing), ""])
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+    return markdown_table(head, lines)

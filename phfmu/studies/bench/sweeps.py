@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from phfmu.studies.bench.machine import cpu_seconds, load, processor
+from phfmu.studies.bench.machine import cpu_seconds, machine_line
+from phfmu.studies.markdown import markdown_table
 
 if TYPE_CHECKING:
     from phfmu.discretise.model import Model
@@ -184,17 +185,15 @@ def gain(name: str, varied: str, measured: str, order: int, stop: float) -> Lane
 
 
 def gains(progress: Callable[[str], None] = lambda _: None) -> str:
-    """In Markdown."""
+    """The gains of runs side by side in Markdown."""
     head = ["scene", "order", "alone us/step", "side by side us/step", "gain", "steps side by side", "same bits"]
-    lines = ["| " + " | ".join(head) + " |", "|" + " --- |" * len(head)]
+    rows = []
     for case in TOGETHER:
         progress(f"{case[0]}, order {case[3]}, side by side")
         g = gain(*case)
-        lines.append(
-            f"| {case[0]} | {case[3]} | {g.alone:.2f} | {g.together:.2f} | {g.gain:.1f} | {100 * g.inside:.1f} % | "
-            f"{'yes' if g.same else 'no'} |"
-        )
-    return "\n".join(lines)
+        numbers = f"{g.alone:.2f}", f"{g.together:.2f}", f"{g.gain:.1f}", f"{100 * g.inside:.1f} %"
+        rows.append([case[0], case[3], *numbers, "yes" if g.same else "no"])
+    return markdown_table(head, rows)
 
 
 def _seconds(take: Callable[[], object]) -> float:
@@ -203,7 +202,7 @@ def _seconds(take: Callable[[], object]) -> float:
 
 
 def table(cases: Sequence[SweepCase] = CASES, progress: Callable[[str], None] = lambda _: None) -> str:
-    """In Markdown."""
+    """The costs of all cases in Markdown, and the machine."""
     from phfmu.processors import processors
 
     jobs = processors()
@@ -211,15 +210,14 @@ def table(cases: Sequence[SweepCase] = CASES, progress: Callable[[str], None] = 
         "runs", "steps", "values", "steps alone us", "1 thread us", "own us", f"{jobs} threads us", "share of the cores",
         "once ms", "bytes a run", "same bits",
     ]  # fmt: skip
-    lines = ["| " + " | ".join(head) + " |", "|" + " --- |" * len(head)]
+    rows = []
     for case in cases:
         progress(f"{case.runs} runs of {case.stop} s, {', '.join(case.measures)}")
         c = measure(case, jobs)
-        lines.append(
-            f"| {case.runs} | {c.steps} | {c.values} | {c.alone:.1f} | {c.one:.1f} | {c.one - c.alone:.1f} | {c.every:.1f} | "
-            f"{c.share:.2f} | {c.once:.0f} | {c.size:.0f} | {'yes' if c.same else 'no'} |"
-        )
-    return "\n".join([*lines, "", f"{processor()}; load {load()}"])
+        times = (f"{x:.1f}" for x in (c.alone, c.one, c.one - c.alone, c.every))
+        rest = f"{c.share:.2f}", f"{c.once:.0f}", f"{c.size:.0f}", "yes" if c.same else "no"
+        rows.append([case.runs, c.steps, c.values, *times, *rest])
+    return f"{markdown_table(head, rows)}\n\n{machine_line()}"
 
 
 PAGE = """# Sweeps
@@ -254,4 +252,4 @@ processor hold four, so that at order 6 several runs gain nothing, and steps are
 
 
 def page(progress: Callable[[str], None] = lambda _: None) -> str:
-    return PAGE + table(progress=progress) + LANES + gains(progress) + f"\n\n{processor()}; load {load()}\n"
+    return PAGE + table(progress=progress) + LANES + gains(progress) + f"\n\n{machine_line()}\n"

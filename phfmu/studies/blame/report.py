@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from phfmu.studies.blame.campaign import Exclusion, FaultOutcome, outcome
 from phfmu.studies.blame.faults import FaultKind, FaultPlace
 from phfmu.studies.blame.networks import COUPLINGS
+from phfmu.studies.markdown import markdown_table
 
 CASES = 200
 #: draws of a case, after which none of its kind is expected to be admitted
@@ -87,7 +88,7 @@ def measure(
 def table(found: CampaignResult) -> str:
     """Rows by kind of fault, by where it is and by coupling, in Markdown."""
     head = ["", "cases", "hits", "innocent named", "control named", *(f"left out: {r.value}" for r in Exclusion)]
-    rows = [head, ["---"] * len(head)]
+    rows = []
     for kind in FaultKind:
         left = [str(found.left_out[kind, r]) for r in Exclusion]
         rows.append([kind.value, *_counts([o for o in found.outcomes if o.fault.kind is kind]), *left])
@@ -98,7 +99,7 @@ def table(found: CampaignResult) -> str:
         rows.append([f"`{coupling}`", *_counts(own), *[""] * len(Exclusion)])
     all_left = [str(sum(n for (_, why), n in found.left_out.items() if why == r)) for r in Exclusion]
     rows.append(["all", *_counts(found.outcomes), *all_left])
-    return "\n".join("| " + " | ".join(r) + " |" for r in rows)
+    return markdown_table(head, rows)
 
 
 def _counts(own: Sequence[FaultOutcome]) -> list[str]:

@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
+from phfmu.studies.markdown import markdown_table
 from phfmu.studies.stress.case import StressResult, Verdict
 
 HEAD = """# Stiff and extreme cases
@@ -38,11 +39,10 @@ def page(lines: Sequence[StressResult], arguments: str) -> str:
     """The page in Markdown, a table per target."""
     text = [HEAD.format(command=f"phfmu stress {arguments}".rstrip(), counts=tally(lines))]
     for target in dict.fromkeys(line.case.target for line in lines):
-        text += [f"## {target}", "", "| case | what happened | criterion | verdict |", "| --- | --- | --- | --- |"]
-        for line in (x for x in lines if x.case.target == target):
-            cells = (line.case.name, line.happened, line.case.criterion, line.verdict.value)
-            text.append("| " + " | ".join(c.replace("|", "\\|").replace("\n", " ") for c in cells) + " |")
-        text.append("")
+        own = (x for x in lines if x.case.target == target)
+        rows = ((x.case.name, x.happened, x.case.criterion, x.verdict.value) for x in own)
+        escaped = ([c.replace("|", "\\|").replace("\n", " ") for c in row] for row in rows)
+        text += [f"## {target}", "", markdown_table(["case", "what happened", "criterion", "verdict"], escaped), ""]
     return "\n".join(text)
 
 

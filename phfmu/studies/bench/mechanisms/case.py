@@ -16,8 +16,8 @@ from phfmu.network.scene import Scene
 from phfmu.studies.bench.mechanisms.assembly import Array, RigidBodySystem
 from phfmu.studies.bench.mechanisms.lagrange import Lagrange, lagrange_of
 from phfmu.studies.bench.precision import own
+from phfmu.studies.bench.precision.buffered_function import BufferedFunction
 from phfmu.studies.bench.precision.candidate import Candidate, CandidateRun, Solve
-from phfmu.studies.bench.precision.compiled import BufferedFunction
 from phfmu.studies.bench.precision.problem import SolutionErrors, problem_of
 
 #: schemes by order; with holonomic constraints there is none of order 4

@@ -18,8 +18,8 @@ import numpy as np
 from phfmu.engine.build.machine_code import compiled
 from phfmu.studies.bench.mechanisms.case import MechanismCase
 from phfmu.studies.bench.mechanisms.lagrange import Array, Lagrange
+from phfmu.studies.bench.precision.buffered_function import BufferedFunction
 from phfmu.studies.bench.precision.candidate import Candidate, CandidateRun, missing
-from phfmu.studies.bench.precision.compiled import BufferedFunction
 
 
 def candidates(case: MechanismCase) -> Iterator[Candidate]:

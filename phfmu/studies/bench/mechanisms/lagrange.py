@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from phfmu.engine.build.machine_code import compiled
 from phfmu.studies.bench.mechanisms.assembly import GROUND, BodyJoint, RigidBodySystem, cross_matrix
-from phfmu.studies.bench.precision.compiled import BufferedFunction
+from phfmu.studies.bench.precision.buffered_function import BufferedFunction
 
 Array = NDArray[np.float64]
 #: relative tolerances of the reference; the distance of its solutions is its uncertainty

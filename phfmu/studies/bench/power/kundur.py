@@ -29,7 +29,7 @@ from phfmu.studies.bench.power.circuit import (
     phases,
     power_flow,
 )
-from phfmu.studies.bench.precision.compiled import BufferedFunction
+from phfmu.studies.bench.precision.buffered_function import BufferedFunction
 
 Array = NDArray[np.float64]
 

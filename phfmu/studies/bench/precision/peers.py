@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.engine.build.machine_code import compiled
+from phfmu.studies.bench.precision.buffered_function import BufferedFunction
 from phfmu.studies.bench.precision.candidate import Candidate, CandidateRun, NotAvailable
-from phfmu.studies.bench.precision.compiled import BufferedFunction
 from phfmu.studies.bench.precision.problem import InitialValueProblem
 
 Array = NDArray[np.float64]

@@ -80,7 +80,7 @@ def compare(
         peers.solve_reference(problem, functions)
     table = measure(problem, candidates(problem, choice, functions), choice.repeat, progress)
     known = f", uncertain by {problem.uncertainty:.1g}" if problem.uncertainty == problem.uncertainty else ""
-    caption = f"{machine.processor()}; load {before} before, {machine.load()} after; one thread, process CPU time"
+    caption = f"{machine.machine_line(before)}; one thread, process CPU time"
     states, times = ", ".join(problem.judged) or "all states", ", ".join(f"{t:g}" for t in problem.times)
     about = (
         f"{problem.name}: errors of {states} at {times} s; timed over {problem.stop:g} s, median of {choice.repeat}",

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.engine.build.machine_code import compiled
+from phfmu.studies.bench.precision.buffered_function import BufferedFunction
 from phfmu.studies.bench.precision.candidate import Candidate, CandidateRun, missing
-from phfmu.studies.bench.precision.compiled import BufferedFunction
 from phfmu.studies.bench.precision.peers import absolute
 from phfmu.studies.bench.precision.problem import InitialValueProblem
 from phfmu.studies.bench.precision.reduced import ReducedSystem, stabilised

@@ -108,7 +108,7 @@ class RoundTripContent:
         return self.connectors.get((member, name), NOTHING)
 
 
-def kept(root: Element, source: Source) -> RoundTripContent:
+def round_trip_content(root: Element, source: Source) -> RoundTripContent:
     """The kept parts of a description that has been read."""
     system = root.find(tag("ssd", "System"))
     components, connectors = {}, {}
