@@ -11,12 +11,11 @@ import numpy as np
 
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.variable import time
-from phfmu.engine.build.machine_code import compiled
 from phfmu.network.scene import Scene
 from phfmu.studies.bench.mechanisms.assembly import Array, RigidBodySystem
 from phfmu.studies.bench.mechanisms.lagrange import Lagrange, lagrange_of
 from phfmu.studies.bench.precision import own
-from phfmu.studies.bench.precision.buffered_function import BufferedFunction
+from phfmu.studies.bench.precision.buffered_function import compiled_expression
 from phfmu.studies.bench.precision.candidate import Candidate, CandidateRun, Solve
 from phfmu.studies.bench.precision.problem import SolutionErrors, problem_of
 
@@ -100,9 +99,7 @@ class MechanismCase:
         if held:
             values = ca.vertcat(*(ca.DM(v.start) for v in held))
             points = ca.substitute(points, ca.veccat(*(v.sx for v in held)), ca.SX(values))
-        return BufferedFunction(
-            compiled(ca.Function("points", [time, ca.veccat(*(v.sx for v in d.states))], [ca.densify(points)]))
-        )
+        return compiled_expression("points", [time, ca.veccat(*(v.sx for v in d.states))], points)
 
     def own(self) -> Iterator[Candidate]:
         """The schemes at each step, observed at the points."""

@@ -16,9 +16,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.engine.build.machine_code import compiled
 from phfmu.studies.bench.mechanisms.assembly import GROUND, BodyJoint, RigidBodySystem, cross_matrix
-from phfmu.studies.bench.precision.buffered_function import BufferedFunction
+from phfmu.studies.bench.precision.buffered_function import compiled_expression
 
 Array = NDArray[np.float64]
 #: relative tolerances of the reference; the distance of its solutions is its uncertainty
@@ -71,8 +70,8 @@ class Lagrange:
         row, n, m, redundant = self.velocity_row, self.n, self.g.numel(), self.redundant
         drift = ca.jtimes(row, self.p, self.v) + ca.jacobian(row, self.t)
         matrix = ca.vertcat(ca.horzcat(self.mass, self.slope.T), ca.horzcat(self.slope, ca.SX(m, m)))
-        sides = ca.densify(ca.horzcat(matrix, ca.vertcat(self.right, -drift)))
-        f = BufferedFunction(compiled(ca.Function("rates", [self.t, self.p, self.v], [sides])))
+        sides = ca.horzcat(matrix, ca.vertcat(self.right, -drift))
+        f = compiled_expression("rates", [self.t, self.p, self.v], sides)
 
         def solved(t: float, p: Array, v: Array) -> tuple[Array, Array]:
             made = f(t, p, v).reshape(n + m, n + m + 1, order="F")
@@ -106,7 +105,7 @@ class Lagrange:
     @cached_property
     def place(self) -> Callable[[float, Array], Array]:
         """(t, p) -> points, flat."""
-        return BufferedFunction(compiled(ca.Function("places", [self.t, self.p], [ca.densify(self.points)])))
+        return compiled_expression("places", [self.t, self.p], self.points)
 
     def reference(self, times: Sequence[float]) -> tuple[Array, float]:
         """The points at the times, and their distance from the solution at the tolerance before."""

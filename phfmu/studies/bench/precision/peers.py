@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.engine.build.machine_code import compiled
-from phfmu.studies.bench.precision.buffered_function import BufferedFunction
+from phfmu.studies.bench.precision.buffered_function import BufferedFunction, compiled_expression
 from phfmu.studies.bench.precision.candidate import Candidate, CandidateRun, NotAvailable
 from phfmu.studies.bench.precision.problem import InitialValueProblem
 
@@ -61,8 +61,7 @@ class ProblemFunctions:
         s, n = self.problem.system, self.problem.system.x.numel()
         if not s.linear or s.ode.n_instructions() > LARGE:
             return None
-        matrix = ca.densify(ca.jacobian(s.ode(*s.arguments), s.x))
-        f = BufferedFunction(compiled(ca.Function("jacobian", s.arguments, [matrix])))
+        f = compiled_expression("jacobian", s.arguments, ca.jacobian(s.ode(*s.arguments), s.x))
         return lambda t, x, live: f(t, x, live).reshape(n, n, order="F")
 
 
