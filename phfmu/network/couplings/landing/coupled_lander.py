@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from phfmu.discretise.within import polynomial_of
 from phfmu.engine.native.native import NativeInstance
-from phfmu.engine.native.native_landing import Lent
+from phfmu.engine.native.native_landing import StepCallbacks
 from phfmu.network.couplings.coupling import AllSteps
 from phfmu.network.couplings.landing.side_by_side import side_by_side, without_inputs
 from phfmu.network.interface.coupled_members import CoupledMembers
@@ -51,7 +51,7 @@ class CoupledLander:
         model = side_by_side({m.name: m.model for m in members})
         self._whole = NativeInstance(replace(model, events=without_inputs(model)), kernels=members[0].instance.kind)
         self._landing, self._check = self._whole.landing
-        self._landing.lend(Lent(self, self._whole))
+        self._landing.lend(StepCallbacks(self, self._whole))
         plans = [m.model.events for m in members]
         counts = [p.n for p in plans if p is not None]
         self.guards = sum(counts)
@@ -180,7 +180,10 @@ class CoupledLander:
             self._book(found, self._landing.jump(self._check), struck)
         self.anew = {self._joined.members[i].name for i in reached}
         if start:
-            at = {numbers[i]: FiredEvents(_events(self.members[i]), own[i], p[self._p[i]], still.get(i, [])) for i in struck}
+            at = {
+                numbers[i]: FiredEvents(_events(self.members[i]), own[i], p[self._p[i]], still.get(i, []))
+                for i in struck
+            }
             found += self._shared.jump(t, at)
         return fired, rests, p, struck
 
