@@ -26,7 +26,7 @@ from phfmu.schemes.collocated import Collocated
 
 @dataclass(frozen=True, eq=False)
 class Landers:
-    """`models`: of the members with events, in their order;  members: their numbers;  names: theirs;  size: of the network."""
+    """Models of the members with events, in their order;  members: their numbers;  names: theirs;  size: of the network."""
 
     models: tuple[Model, ...]
     members: tuple[int, ...]
