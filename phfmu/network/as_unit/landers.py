@@ -25,7 +25,7 @@ from phfmu.network.members.engine_member import EngineMember
 
 @dataclass(frozen=True, eq=False)
 class Landers:
-    """`models`: of the members with events, in their order;  members: their numbers;  names: theirs;  size: of the network."""
+    """Models of the members with events, in their order;  members: their numbers;  names: theirs;  size: of the network."""
 
     models: tuple[Model, ...]
     members: tuple[int, ...]
