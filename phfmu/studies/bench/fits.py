@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.studies.bench.machine import cpu_seconds, machine_line
-from phfmu.studies.markdown import markdown_table
+from phfmu.studies.figures import pyplot, save
+from phfmu.studies.tables import markdown_table
 
 if TYPE_CHECKING:
     from phfmu.components.electrical import MachineData
@@ -331,10 +332,7 @@ of the same engine. CPU time by one thread, fits in turn on the same draws, medi
 
 def draw(s: FitStudy, path: Path) -> None:
     """Currents of phase a and the field, measured and fitted, and deviations of all draws."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
+    plt = pyplot()
 
     plt.rcParams.update({"font.size": 9.5, "axes.spines.top": False, "axes.spines.right": False})
     figure, axes = plt.subplot_mosaic(
@@ -351,9 +349,7 @@ def draw(s: FitStudy, path: Path) -> None:
     axes["phase"].set_title("a short circuit out of 0.8 of rated power")
     axes["field"].set_xlabel("time in ms")
     _deviations(axes["off"], s.fits)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=150)
-    plt.close(figure)
+    save(figure, path)
 
 
 def _deviations(ax: Any, fits: Sequence[TimedFit]) -> None:
