@@ -19,7 +19,7 @@ class TargetError(ValueError):
 
 
 @dataclass(frozen=True)
-class Call:
+class TargetCall:
     """The function that is called, by its name, and values by place and by name."""
 
     name: str
@@ -41,17 +41,17 @@ class Call:
             raise TargetError(f"{target}: {error}; it is {self.name}{plain} (phfmu info {self.name})") from None
 
 
-def parsed(text: str, target: str) -> Call:
+def parsed(text: str, target: str) -> TargetCall:
     """`chain(n=20, dim=2)` as a call with numbers, texts, True, False, None, and lists of these; TargetError for all else."""
     name, bracket, _ = text.partition("(")
     if not bracket:
-        return Call(name)
+        return TargetCall(name)
     try:
         made = ast.parse(text.strip(), mode="eval").body
         if not isinstance(made, ast.Call) or not isinstance(made.func, ast.Name):
             raise ValueError
         named = {k.arg: ast.literal_eval(k.value) for k in made.keywords if k.arg}
-        return Call(made.func.id, tuple(map(ast.literal_eval, made.args)), named)
+        return TargetCall(made.func.id, tuple(map(ast.literal_eval, made.args)), named)
     except (ValueError, SyntaxError):
         remedy = (
             "write NAME(argument=value, ..) in quotes, values being numbers, texts, True, False, None or lists of these"

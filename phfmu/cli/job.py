@@ -15,7 +15,7 @@ from phfmu.cli.sensitivity import names_of, require_equal_steps, sensitive, sens
 from phfmu.cli.settings import settings, with_settings
 from phfmu.cli.sound import require_sound_scene
 from phfmu.cli.stepping import (
-    Kernels,
+    KernelReport,
     Stepping,
     as_fmu,
     asked_apart,
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Job:
-    """What a command line asks to run; `label`: for the run's head line; `whole`: one composed model, not units or members;
+    """Run that a command line asks for; `label`: for the run's head line; `whole`: one composed model, not units or members;
     `notes`: what is not as asked for, one line each, also of what `build` finds;  `order`: of the whole, None where units do
     not tell it.
 
@@ -58,7 +58,7 @@ class Job:
     build: Callable[[], Stepper]
     notes: list[str] = field(default_factory=list)
     order: float | None = None
-    kernels: Kernels = field(default_factory=Kernels)
+    kernels: KernelReport = field(default_factory=KernelReport)
 
 
 def label(schemes: Sequence[Any], engine: str, coupling: str, most: float = inf, held: str = "") -> str:
@@ -73,7 +73,7 @@ def label(schemes: Sequence[Any], engine: str, coupling: str, most: float = inf,
 
 
 def whole(args: argparse.Namespace, s: Scene, declaration: PHDAE, why: list[str]) -> Job:
-    scheme, engine, made = scheme_of(args, declaration), engine_of(args.engine), Kernels()
+    scheme, engine, made = scheme_of(args, declaration), engine_of(args.engine), KernelReport()
     kernels = kernels_asked(args, {engine})
     if getattr(args, "audit_detail", False):
         declaration = _by_term(declaration, scheme, engine)
@@ -96,7 +96,7 @@ def whole(args: argparse.Namespace, s: Scene, declaration: PHDAE, why: list[str]
 
 
 def _derived(args: argparse.Namespace, engine: str) -> str:
-    """What the head line says of derivatives; ValueError for options that these do not go with."""
+    """Words of the head line about derivatives; raises ValueError for options that these do not go with."""
     names = names_of(args)
     if not names:
         return ""
@@ -197,7 +197,7 @@ class _Members:
     step: float
     tried: Mapping[str, Rollback]
     kernels: str
-    made: Kernels
+    made: KernelReport
     steps: float
 
     @cached_property
@@ -272,7 +272,7 @@ def apart(
     stepping = Stepping(engine_of(args.engine), own_engines, parts_asked(args, declared))
     step = s.step if args.step is None else args.step
     threads, notes = threads_asked(args), [*why, *filter(None, [composed_words(network), _without_unit(s, declared)])]
-    engines, made = {stepping.engine_of(n) for n in network.declared}, Kernels()
+    engines, made = {stepping.engine_of(n) for n in network.declared}, KernelReport()
     kernels = kernels_asked(args, engines)
     members = _Members(args, network, coupling, schemes, stepping, step, tried, kernels, made, _steps(args, s))
     wires = held_wires(network, members.held) if coupling.nodes else network.wires
@@ -324,7 +324,7 @@ def _without_unit(s: Scene, network: Network) -> str:
 
 
 def _number(network: Network) -> str:
-    """How many members are composed to one, for the head line."""
+    """Number of members that are composed to one, for the head line."""
     from phfmu.network.couplings.choice.gathered import composed_members
 
     n = len(composed_members(network))

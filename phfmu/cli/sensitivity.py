@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def names_of(args: argparse.Namespace) -> list[str]:
-    """What is derived by; none without the option."""
+    """Names that results are differentiated by; none without the option."""
     return listed(getattr(args, "sensitivity", None) or "")
 
 

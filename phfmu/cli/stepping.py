@@ -1,4 +1,4 @@
-"""How the declared members of a network are stepped: each with an engine of its own, in internal steps of its own.
+"""Options of stepping: the engine, kernels and internal steps of each declared member of a network, its coupling and units.
 
 The engine that steps a model: Python, native, or a unit that is exported for the run.
 """
@@ -180,8 +180,8 @@ def kernels_asked(args: argparse.Namespace, engines: Collection[str]) -> str:
     return kernels
 
 
-class Kernels:
-    """How the kernels of instances run: said of a run, as they may change in it."""
+class KernelReport:
+    """Words of a run about its kernels, interpreted or compiled, which may change in it."""
 
     def __init__(self) -> None:
         self._instances: list[Any] = []

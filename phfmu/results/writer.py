@@ -86,7 +86,7 @@ class TableWriter:
         return _Parquet(path, kinds) if self._target.suffix == ".parquet" else _CSV(path, kinds, self._units_row)
 
     def mark(self) -> dict[str, Any]:
-        """Where its stream is, all rows so far on the disk; for `going_on`."""
+        """Flush all rows to the disk and return the position of the stream, for `going_on`."""
         size = self._format.mark() if self._partial is not None else 0
         partial = None if self._partial is None else str(self._partial)
         return {"partial": partial, "size": size, "rows": self.rows, "last": self.last}

@@ -1,4 +1,4 @@
-"""What a run carries from step to step: each class names its attributes in `CARRIED`; these two functions take and give them.
+"""State that a run carries from step to step: each class names its attributes in `CARRIED`; two functions take and give them.
 
 What a class with `CARRIED` has under these names is gone into; of a class without it that has `get_state`, that is it; in a list
 of such things each of them; an array keeps its place in memory, since others may share it; and everything else is kept as it

@@ -17,7 +17,7 @@ from phfmu.network.network import Network
 from phfmu.network.scene import Event, Scene
 from phfmu.outcome.status import EndRequested, StepFailure
 from phfmu.runs.book import Book
-from phfmu.runs.checkpoints import Carriers, require_continued
+from phfmu.runs.checkpoints import RunState, require_continued
 from phfmu.runs.inputs.following import following
 from phfmu.runs.march.event_steps import AdaptiveEventSteps, EventSteps
 from phfmu.runs.march.march import AdaptiveSteps, FixedSteps, step_rows
@@ -51,10 +51,10 @@ def run(stepper: Stepper, options: Options, *, inputs: Any = None, interpolate: 
 def _run(stepper: Stepper, options: Options, events: Callable[..., Iterator[Event]], notes: Sequence[str]) -> Result:
     """With the inputs in place; `events`: in order, all or from a time on; `notes`: what there is to say about the inputs."""
     from phfmu.audit import Ledger
-    from phfmu.audit.unbooked import Unbooked
+    from phfmu.audit.null_ledger import NullLedger
 
     _check_events(stepper, options)
-    ledger = Ledger(options.sink, options.audit_rtol) if options.audited else Unbooked()
+    ledger = Ledger(options.sink, options.audit_rtol) if options.audited else NullLedger()
     told = RunColumns(stepper, options.signals, options.step)
     if options.columns is not None:
         options.columns(told.names, told.units, told.kinds, told.labels)
@@ -63,7 +63,7 @@ def _run(stepper: Stepper, options: Options, events: Callable[..., Iterator[Even
     if options.hash_states:
         _hash_states(stepper, book, march, options)
     before, projection = stepper.rest_changes(), None
-    carriers = Carriers(stepper=stepper, book=book, ledger=ledger, rows=rows, columns=told, march=march)
+    carriers = RunState(stepper=stepper, book=book, ledger=ledger, rows=rows, columns=told, march=march)
     found = _kept(stepper, march, carriers, options)
     t0, stop, close = options.t0, options.stop, 1e-9 * options.step
     try:
@@ -123,8 +123,8 @@ def _hash_states(stepper: Stepper, book: Book, march: Any, options: Options) -> 
     StateHashes(stepper, book, march, options)
 
 
-def _kept(stepper: Stepper, march: Any, carriers: Carriers, options: Options) -> Mapping[str, Any] | None:
-    """What a run that was ended has left, if this one goes on with it; the march tells when it is between two blocks."""
+def _kept(stepper: Stepper, march: Any, carriers: RunState, options: Options) -> Mapping[str, Any] | None:
+    """Checkpoint of the run that this one goes on with, if any; the march is made to tell when it is between two blocks."""
     if options.checkpoints is None:
         return None
     require_continued(stepper)
@@ -151,7 +151,7 @@ def _ended(stepper: Stepper, book: Book, rows: Rows, told: RunColumns, end: EndR
 def _march(
     stepper: Stepper, book: Book, options: Options
 ) -> FixedSteps | AdaptiveSteps | EventSteps | AdaptiveEventSteps:
-    """How the run gets from event to event."""
+    """The steps that get the run from event to event."""
     if stepper.lands and options.adaptive:
         return AdaptiveEventSteps(monolithic(stepper, "--rtol"), book, options)
     if stepper.lands:
@@ -176,10 +176,10 @@ def dense_rows(stepper: Stepper, rows: int | None) -> Iterator[None]:
     if rows is None:
         yield
         return
-    from phfmu.runs.dense import Dense
+    from phfmu.runs.dense import DenseOutput
 
     whole = monolithic(stepper, "--dense")
-    whole.between = Dense(whole.instance, rows).between
+    whole.between = DenseOutput(whole.instance, rows).between
     try:
         yield
     finally:
@@ -233,7 +233,7 @@ def _unreached(late: Iterator[Event], stop: float) -> list[str]:
 
 
 def _rest_notes(before: dict[str, list[RestChange]], now: dict[str, list[RestChange]]) -> list[str]:
-    """How often other redundant constraints rested in a run or were needed again, and the last of these changes."""
+    """Lines about redundant constraints that rested in a run or were needed again: their number, and the last changes."""
     lines = []
     for name, changes in now.items():
         old = before[name][-1].number if before[name] else 0

@@ -1,4 +1,4 @@
-"""How a run goes: everything that `run` is told beside the stepper, checked in one place."""
+"""Options of a run: everything that `run` is told beside the stepper, checked in one place."""
 
 from __future__ import annotations
 

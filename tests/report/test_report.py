@@ -26,7 +26,7 @@ from phfmu.report.page.flows import (
     STORE,
     Link,
     Node,
-    Passed,
+    PortEnergy,
     books,
     imbalance,
     links,
@@ -240,7 +240,7 @@ def test_names_of_a_file_are_text(tmp_path: Path) -> None:
 SVG = "{http://www.w3.org/2000/svg}"
 
 
-def drawn(members: list[str], joined: list[Passed]) -> ET.Element:
+def drawn(members: list[str], joined: list[PortEnergy]) -> ET.Element:
     return ET.fromstring(one_line(members, joined, {}))
 
 
@@ -250,10 +250,10 @@ def boxes(svg: ET.Element) -> list[tuple[float, ...]]:
 
 def test_widths_of_the_diagram_are_energies() -> None:
     joined = [
-        Passed("a", "p", "n", -8.0),
-        Passed("b", "p", "n", 6.0),
-        Passed("c", "p", "n", 2.0),
-        Passed("a", "in", "", 4.0),
+        PortEnergy("a", "p", "n", -8.0),
+        PortEnergy("b", "p", "n", 6.0),
+        PortEnergy("c", "p", "n", 2.0),
+        PortEnergy("a", "in", "", 4.0),
     ]
     svg = drawn(["a", "b", "c"], joined)
     lines = [float(p.get("stroke-width") or 0) for p in svg.iter(f"{SVG}path")]
@@ -274,12 +274,15 @@ def test_no_box_of_the_diagram_covers_another(n: int, ring: bool) -> None:
     for i in range(n):
         members += [f"gen{i}", f"load{i}", f"line{i}"]
         joined += [
-            Passed(f"gen{i}", "t", f"bus{i}", -3.0),
-            Passed(f"gen{i}", "shaft", "", 3.0),
-            Passed(f"load{i}", "t", f"bus{i}", 2.0),
+            PortEnergy(f"gen{i}", "t", f"bus{i}", -3.0),
+            PortEnergy(f"gen{i}", "shaft", "", 3.0),
+            PortEnergy(f"load{i}", "t", f"bus{i}", 2.0),
         ]
         if i < n - 1 or ring:
-            joined += [Passed(f"line{i}", "a", f"bus{i}", 1.0), Passed(f"line{i}", "b", f"bus{(i + 1) % n}", -1.0)]
+            joined += [
+                PortEnergy(f"line{i}", "a", f"bus{i}", 1.0),
+                PortEnergy(f"line{i}", "b", f"bus{(i + 1) % n}", -1.0),
+            ]
     svg = drawn(members, joined)
     found = boxes(svg)
     marks = [t.text for t in svg.iter(f"{SVG}text") if t.text in ("goes on below", "from above")]

@@ -106,20 +106,20 @@ def call(args: argparse.Namespace) -> int:
     from phfmu.audit.tables.report import summary_table
     from phfmu.audit.tables.sheet_names import ROWS
     from phfmu.cli import accuracy, options
-    from phfmu.cli.checkpoints import Checkpoints
+    from phfmu.cli.checkpoints import CheckpointFile
     from phfmu.cli.codes import FINE, LEDGER
     from phfmu.cli.job import job_of
     from phfmu.cli.outputs import Outputs
-    from phfmu.cli.progress import Bar
+    from phfmu.cli.progress import ProgressBar
     from phfmu.cli.sound import require_sound_scene
     from phfmu.cli.timeline import timeline
-    from phfmu.interrupt import Signals
+    from phfmu.interrupt import DeferredInterrupt
     from phfmu.runs.loop import run
     from phfmu.signals import derivative_name
     from phfmu.target import is_fmu
 
     accuracy.require_fit(args)
-    checkpoints = Checkpoints(args)
+    checkpoints = CheckpointFile(args)
     outputs, job = Outputs(args, checkpoints), job_of(args)
     chosen, scene, label = options.of_run(args, job.scene, whole=job.whole), job.scene, job.label
     stepper = job.build()
@@ -135,7 +135,7 @@ def call(args: argparse.Namespace) -> int:
     if changes and not is_fmu(args.target):
         require_sound_scene(args, scene, changes)
     begun = perf_counter()
-    with Signals() as signals, outputs, Bar("simulating", chosen.stop, args.quiet) as bar:
+    with DeferredInterrupt() as signals, outputs, ProgressBar("simulating", chosen.stop, args.quiet) as bar:
 
         def progress(t: float) -> None:
             bar(t)

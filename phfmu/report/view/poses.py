@@ -109,7 +109,7 @@ def motion(title: str, shapes: Sequence[Shape], time: Floats, columns: Columns) 
 
 
 def _reach(solid: Shape) -> float:
-    """How far a solid of its own size is beyond its centre, m."""
+    """Distance that a solid of its own size reaches beyond its centre [m]."""
     if not solid.size:
         return 0.0
     return 0.5 * float(np.linalg.norm(solid.size)) if solid.kind is ShapeKind.BOX else solid.size[0]

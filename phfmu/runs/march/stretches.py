@@ -100,7 +100,7 @@ def stretches(segments: Callable[[], Iterator[Segment]], step: float, free: Call
 
 
 def _whole(length: float, step: float) -> int:
-    """How many steps the length is, 0 if it is no multiple."""
+    """Number of steps in the length, 0 if it is no multiple."""
     n = round(length / step)
     return n if n and abs(length - n * step) <= CLOSE * step else 0
 
