@@ -27,7 +27,7 @@ from phfmu.report.page.flows import (
     Link,
     Node,
     PortEnergy,
-    books,
+    component_energies,
     imbalance,
     links,
     ports,
@@ -121,7 +121,7 @@ def test_each_kind_of_energy_is_a_link_of_its_own(made: Path) -> None:
 
 def test_energies_are_the_sums_of_the_audit(place: Path) -> None:
     history, summary = read_history(place / "drive.audit.parquet"), summarise(place / "drive.audit.parquet")
-    for b, c in zip(books(history), summary.components, strict=True):
+    for b, c in zip(component_energies(history), summary.components, strict=True):
         assert (b.component, b.stored, b.dissipated) == (
             c.component,
             pytest.approx(c.stored),
@@ -327,4 +327,4 @@ def test_what_cannot_be_reported_is_said_once(words, said, place, tmp_path, monk
 
 
 def test_an_empty_history_has_no_links() -> None:
-    assert links(History("x", {})) == [] and books(History("x", {})) == []
+    assert links(History("x", {})) == [] and component_energies(History("x", {})) == []

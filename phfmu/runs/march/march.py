@@ -80,7 +80,6 @@ class MarchPosition:
     """Position of a march in a stretch, between two blocks of rows.
 
     piece, first: the next step is `first` of the grid number `piece`;  t: it starts then (s), where steps have any length
-
     left: damped steps that are still to be taken;  changed: something was set since the last step
     """
 
