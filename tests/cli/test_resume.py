@@ -217,4 +217,4 @@ def test_a_checkpoint_from_before_a_class_moved_or_got_another_name_is_read(carr
     body = pickle.dumps({"carried": carried}, protocol=2)
     now = f"c{type(carried).__module__}\n{type(carried).__name__}\n".encode()
     older = body.replace(now, b"c" + earlier + b"\n")
-    assert older != body and plain(older) == plain(body) == {"carried": carried}
+    assert older != body and pickle.dumps(plain(older), protocol=2) == body
