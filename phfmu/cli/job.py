@@ -15,6 +15,7 @@ from phfmu.cli.sensitivity import names_of, require_equal_steps, sensitive, sens
 from phfmu.cli.settings import settings, with_settings
 from phfmu.cli.sound import require_sound_scene
 from phfmu.cli.stepping import (
+    SIGNAL_WORDS,
     KernelReport,
     Stepping,
     as_fmu,
@@ -22,9 +23,13 @@ from phfmu.cli.stepping import (
     engine_of,
     engines_asked,
     instance_of,
+    isolate_of,
     kernels_asked,
     parts_asked,
+    signals_asked,
     threads_asked,
+    tolerance_of,
+    with_unit_options,
 )
 from phfmu.network.couplings.coupling_table import AUTO, COUPLINGS, MONOLITHIC, NEWTON, CouplingRow
 from phfmu.target import is_fmu
@@ -121,10 +126,6 @@ def _by_term(declaration: PHDAE, scheme: Scheme, engine: str) -> PHDAE:
     return by_term(declaration)
 
 
-#: s that a call into a unit in a process of its own may take, unless told
-ISOLATE = 60.0
-
-
 def unit(args: argparse.Namespace) -> Job:
     from phfmu.fmu.importer.reader import FMUInstance
     from phfmu.fmu.importer.unit_file import unit_file
@@ -140,22 +141,6 @@ def unit(args: argparse.Namespace) -> Job:
         print(f"phfmu: {args.target}: {line}", file=sys.stderr)
     words = ", ".join(w for w in (f"FMI {instance.interface.version}", instance.interface.scheme) if w)
     return Job(fmu_scene(instance), words, False, lambda: FMUStepper(instance))
-
-
-def isolate_of(args: argparse.Namespace) -> float | None:
-    """s that a call into a unit in a process of its own may take; None: units run in this process."""
-    seconds = args.isolate_timeout
-    if seconds is not None and not seconds > 0:
-        raise ValueError(f"--isolate-timeout {seconds:g} s must be positive")
-    return ISOLATE if seconds is None and args.isolate else seconds
-
-
-def tolerance_of(args: argparse.Namespace) -> float | None:
-    """The relative tolerance that units are told of; None: their own."""
-    value = args.unit_tolerance
-    if value is not None and not 0 < value < inf:
-        raise ValueError(f"--unit-tolerance {value:g}: expected a positive number, e.g. 1e-6")
-    return value
 
 
 def _refuse_compiled_in(args: argparse.Namespace) -> None:
@@ -174,15 +159,6 @@ def _refuse_compiled_in(args: argparse.Namespace) -> None:
                 f"{args.target}: --{option} {asked} has no effect on an FMU, its method is compiled in; "
                 "run the declaration, or export it with the options you want"
             )
-
-
-#: of signals, for the head line
-SAID: dict[SignalExchange, str] = {
-    "extrapolated": "",
-    "held": ", signals held",
-    "agreed-or-extrapolated": ", signals iterated",
-    "agreed": ", signals iterated",
-}
 
 
 @dataclass(frozen=True)
@@ -278,7 +254,7 @@ def apart(
     wires = held_wires(network, members.held) if coupling.nodes else network.wires
     circling = circling_units(network, wires) if name == NEWTON.name else []
     holds, stuck = bool(wires), [n for n, found in tried.items() if not found.works]
-    exchange, lines = _signals(args, network, stuck, holds, circling)
+    exchange, lines = signals_asked(args, network, stuck, holds, circling)
     notes += lines
 
     def build() -> Stepper:
@@ -289,7 +265,7 @@ def apart(
 
     most, alone = _kept(members, exchange if holds else None)
     words = coupling.held if most <= coupling.order else f"units of order {most:g}"
-    said = coupling.words + _number(network) + SAID[exchange]
+    said = coupling.words + _number(network) + SIGNAL_WORDS[exchange]
     head = label(list(schemes.values()), stepping.words, said, most, words)
     head += _derived(args, stepping.words)
     notes += _order_lost(args.order, coupling, most, [members.whole.why_held(n) for n in alone])
@@ -340,33 +316,6 @@ def _node_inputs(scheme: Scheme) -> bool:
     return scheme.node_values and scheme.order > 2
 
 
-def _signals(
-    args: argparse.Namespace, network: Network, stuck: Sequence[str], held: bool, circling: Sequence[str]
-) -> tuple[SignalExchange, list[str]]:
-    """The course of signals over a step if some are `held`, and notes about it: `stuck` units cannot take steps back.
-
-    Signals are iterated where that is asked for, and where those of `circling` units come back to them.
-    ValueError where they are to be held and there are none.
-    """
-    if args.signals_held and not held:
-        raise ValueError(
-            f"{args.target}: --signals-held is for signals that members hold over steps, and there are none"
-        )
-    if args.signals_held:
-        return "held", []
-    ends = {end for w in network.wires for end in (w.source, w.target)}
-    asked = args.coupling == NEWTON.name and held and ends & set(network.units)
-    if not asked and circling and not stuck:
-        return "agreed-or-extrapolated", [
-            f"signals of {', '.join(circling)} come back to them: they are iterated (--signals-held holds them over steps)"
-        ]
-    if not asked:
-        return "extrapolated", []
-    if stuck:
-        return "extrapolated", [f"signals are not iterated: {', '.join(stuck)} cannot take steps back"]
-    return "agreed", []
-
-
 def _most(
     coupling: Named, schemes: Iterable[Scheme], units: Iterable[UnitFile], signals: float, held: Sequence[str]
 ) -> float:
@@ -409,7 +358,7 @@ def job_of(args: argparse.Namespace) -> Job:
         return unit(args)
     s = scene_of(args)
     s, steady = _in_steady_steps(args, with_given(args, s))
-    s = replace(s, system=_with_unit_options(args, s.system))
+    s = replace(s, system=with_unit_options(args, s.system))
     require_sound_scene(args, s)
     tried = _tried(args, s)
     row, why = _coupling(args, s, {n: found.words for n, found in tried.items() if not found.works})
@@ -461,20 +410,6 @@ def _in_steady_steps(args: argparse.Namespace, s: Scene) -> tuple[Scene, list[st
         return s, [f"begins in the operating point of the equations: {failure}"]
     line = f"begins in the steady state of steps of {step:g} s, at {found.omega / (2.0 * pi):.9g} Hz"
     return replace(s, system=replace(found.started(), description=s.system.description)), [line]
-
-
-def _with_unit_options(args: argparse.Namespace, system: Any) -> Any:
-    """The system with its units in processes of their own, or with a tolerance, if that is asked for."""
-    from phfmu.network.network import Network
-
-    seconds, tolerance = isolate_of(args), tolerance_of(args)
-    if seconds is None and tolerance is None:
-        return system
-    if not isinstance(system, Network) or not system.units:
-        option = "--isolate" if tolerance is None else "--unit-tolerance"
-        raise ValueError(f"{args.target}: {option} is for FMUs, and there is none in it")
-    own = {n: replace(file, isolate=seconds, tolerance=tolerance) for n, file in system.units.items()}
-    return replace(system, members={n: own.get(n, m) for n, m in system.members.items()})
 
 
 def _tried(args: argparse.Namespace, s: Scene) -> dict[str, Rollback]:
