@@ -9,10 +9,11 @@ import pytest
 
 from phfmu.audit import AuditWriter, Booking, Ledger, PortKey
 from phfmu.outcome.steps import Steps
-from phfmu.report.page.flows import JUNCTION, MEMBER, RESIDUAL, Node, component_energies, imbalance, links, ports
+from phfmu.report.page.flows import JUNCTION, MEMBER, RESIDUAL, Node, component_energies, links, ports
 from phfmu.report.page.gathered import ALL, MOST, gathered_links, gathered_ports, others
 from phfmu.report.page.history import read_history
 from phfmu.report.page.page import Run, write_report
+from tests.report.links import imbalance
 
 N = 101
 

@@ -28,11 +28,11 @@ from phfmu.report.page.flows import (
     Node,
     PortEnergy,
     component_energies,
-    imbalance,
     links,
     ports,
 )
 from phfmu.report.page.history import History, read_history
+from tests.report.links import imbalance
 from tests.report.test_plot import loaded
 
 EPS = float(np.finfo(float).eps)

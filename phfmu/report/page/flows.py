@@ -111,15 +111,6 @@ def links(history: History) -> list[Link]:
     return [link for link in found if link.energy > 0.0]
 
 
-def imbalance(found: Sequence[Link], node: Node) -> float:
-    """Energy that a node takes less what it gives."""
-    return math.fsum(
-        link.energy * ((link.target == node) - (link.source == node))
-        for link in found
-        if node in (link.source, link.target)
-    )
-
-
 def _through_ports(passed: Sequence[PortEnergy], named: set[str]) -> Iterator[Link]:
     for p in passed:
         member = Node(MEMBER, p.component) if p.component in named else Node(PORT, p.component)
