@@ -16,7 +16,7 @@ from phfmu.words import meant
 
 if TYPE_CHECKING:
     from phfmu.declare.phdae import PHDAE
-    from phfmu.network.couplings.signals.held_signals import SignalExchange
+    from phfmu.network.couplings.signals.sampled_signals import SignalExchange
     from phfmu.network.network import Network
 
 
