@@ -70,7 +70,7 @@ class Argument:
 
 
 def arguments(function: Callable[..., Any], build: Callable[..., Any], given: Mapping[str, Any]) -> list[Argument]:
-    """Those of a function that builds a model, with the values that are `given`, else their defaults.
+    """Arguments of a function that builds a model, with the values that are `given`, else their defaults.
 
     `build(**values)` calls it, with example values for what has no default.
     Units and words are those of the variable of the same name, which what is optional has where it is given; else the
@@ -103,7 +103,7 @@ def _unit(name: str, text: str) -> str:
 
 
 def _variables(build: Callable[..., Any], values: Mapping[str, Any]) -> dict[str, Variable]:
-    """The variables of what is built, by name; of a network or of what cannot be built with these none."""
+    """Variables of the declaration that is built, by name; {} for a network, or if it cannot be built with these values."""
     from phfmu.declare.phdae import PHDAE
 
     try:

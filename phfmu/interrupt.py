@@ -56,7 +56,7 @@ class DeferredInterrupt:
             signal.signal(number, handler)
 
     def check(self) -> None:
-        """Interrupted if a signal came."""
+        """Raise Interrupted if a signal came."""
         if self._number is not None:
             raise Interrupted(self._number)
 
@@ -70,14 +70,14 @@ _current: DeferredInterrupt | None = None
 
 
 def check() -> None:
-    """Interrupted in the main thread if a signal came that is kept: for waits that lose nothing of what was accepted."""
+    """Raise Interrupted in the main thread if a signal came that is kept: for waits that lose nothing of accepted steps."""
     if _current is not None and threading.current_thread() is threading.main_thread():
         _current.check()
 
 
 @contextmanager
 def raising() -> Iterator[None]:
-    """The signals raise Interrupted, where nobody else has taken them."""
+    """Let the signals raise Interrupted, where nobody else has taken them."""
     alarm = hasattr(signal, "setitimer")
 
     def take(number: int, _: object) -> None:

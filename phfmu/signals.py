@@ -104,7 +104,7 @@ OUTPUTS = (("", "y_end", "at the present time"), (MEAN, "y_step", "mean of the l
 
 
 def quantities(model: Model) -> tuple[Quantity, ...]:
-    """All of a model in the order in which tables and units list them."""
+    """All quantities of a model in the order in which tables and units list them."""
     d = model.declaration
     return (
         Quantity("time", "independent", "x", model.step.nx, unit="s", description="time"),

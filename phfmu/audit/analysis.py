@@ -60,7 +60,7 @@ def summarise(
     Nothing derived is taken from the rows: residuals, junctions, the network and its sums are computed again, and rows
     that say otherwise are violations of the kind `file`. One pass; memory does not grow with the log.
     `window`: sums are those of the steps and events within it; the verdict is that of the whole log, which is read twice then.
-    Errors: ValueError for what is not an audit log, or would unpack to far more than phfmu writes.
+    Errors: ValueError for a file that is not an audit log, or would unpack to far more than phfmu writes.
     """
     whole = Batches(source)
     judged = _summed(whole, rtol, whole.interned, whole)

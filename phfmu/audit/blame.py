@@ -117,7 +117,7 @@ class Blame:
 def blame(source: pa.Table | str | os.PathLike[str], rtol: float = DEFAULT_RTOL) -> Blame:
     """Net and gross energies of the junctions and members of an audit log; two passes, memory does not grow with it.
 
-    Errors: ValueError for what is not an audit log.
+    Errors: ValueError for a file that is not an audit log.
     """
     found = _BlameSums(*_kept(source))
     batches = Batches(source)
@@ -232,7 +232,7 @@ class _BlameSums:
         return self.junctions.setdefault(name, JunctionBlame(name))
 
     def blame(self) -> Blame:
-        """Those that made most come first."""
+        """Sums of the run so far, those that made most first."""
         junctions = sorted(self.junctions.values(), key=lambda j: -j.gross)
         return Blame(junctions, sorted(self.members.values(), key=lambda m: m.least), owners=self._owners)
 

@@ -271,7 +271,7 @@ class Judge:
             self.accounts[component].jumps += energy
 
     def violations(self, unexplained: float = 0.0) -> list[Violation]:
-        """All that does not close so far, also what is small in each step but not in the run; `unexplained`: in all of it."""
+        """Violations so far, also those that are small in each step but not in the run; `unexplained` [J]: in all of it."""
         found = list(self._found.values())
         for name, a in self.accounts.items():
             if a.quality is Quality.EXACT:
@@ -299,7 +299,7 @@ def _rounding_of_H(largest: Any, turnover: Any) -> Any:
 
 
 def _or(other: float, x: Floats) -> Floats:
-    """x, with `other` in place of what is not a finite number."""
+    """x, with `other` in place of numbers that are not finite."""
     return x if all_finite(x) else np.where(np.isfinite(x), x, other)
 
 

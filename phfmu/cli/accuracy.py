@@ -22,7 +22,7 @@ LOWER = 0.5
 
 
 def require_fit(args: argparse.Namespace) -> None:
-    """ValueError for options that give the rows of a run times of their own."""
+    """Raise ValueError for options that give the rows of a run times of their own."""
     if not args.accuracy:
         return
     for option, given in (("--ecco", args.ecco), ("--energy-rtol", args.energy_rtol)):
@@ -72,7 +72,7 @@ def print_accuracy(args: argparse.Namespace, record: RunRecord, order: float | N
 
 
 def _again(args: argparse.Namespace, record: RunRecord, factor: float) -> RepeatRecord:
-    """The same run with other steps; its rows at the times of the record."""
+    """Run again with other steps and return the rows at the times of the record."""
     from phfmu.cli import options
     from phfmu.cli.job import job_of
     from phfmu.cli.progress import ProgressBar

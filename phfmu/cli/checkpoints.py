@@ -114,7 +114,7 @@ class CheckpointFile:
             raise ValueError("--sensitivity is not kept by a checkpoint yet; leave one of the two out")
 
     def _require_same(self, was: Mapping[str, Any]) -> None:
-        """ValueError where options, files or libraries are not those of the run that is to go on."""
+        """Raise ValueError where options, files or libraries are not those of the run that is to go on."""
         now, resume = self._head["origin"], self._args.resume
         differ = [
             f"--{name.replace('_', '-')} was {was['options'].get(name)!r}, is {now['options'].get(name)!r}"
@@ -168,7 +168,7 @@ def _read(path: Path, shown: str) -> tuple[dict[str, Any], Mapping[str, Any]]:
 
 
 def plain(body: bytes) -> Mapping[str, Any]:
-    """The data of a checkpoint; ValueError where it names anything but numbers and classes of phfmu."""
+    """Data of a checkpoint; raises ValueError where it names anything but numbers and classes of phfmu."""
     return _PlainUnpickler(io.BytesIO(body)).load()
 
 

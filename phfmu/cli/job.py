@@ -144,7 +144,7 @@ def unit(args: argparse.Namespace) -> Job:
 
 
 def _refuse_compiled_in(args: argparse.Namespace) -> None:
-    """ValueError for options that an FMU has compiled in."""
+    """Raise ValueError for options that an FMU has compiled in."""
     if asked_apart(args):
         raise ValueError(
             f"{args.target}: --member and --parts are for members of a network; an FMU has none to choose for"
@@ -382,7 +382,7 @@ def job_of(args: argparse.Namespace) -> Job:
 
 
 def _require_whole(args: argparse.Namespace) -> None:
-    """ValueError for details that only one composed model has."""
+    """Raise ValueError for details that only one composed model has."""
     if getattr(args, "audit_detail", False):
         raise ValueError(
             f"{args.target}: --audit-detail tells energies and resistors of one composed model by themselves; members that are "

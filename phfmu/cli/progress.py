@@ -36,7 +36,7 @@ class ProgressBar(ExitStack):
 
 
 class StatusLine:
-    """One line that says what is at work; gone at the end."""
+    """Line of a terminal that says what is at work; it is gone at the end."""
 
     def __enter__(self) -> StatusLine:
         self._show = sys.stderr.isatty()

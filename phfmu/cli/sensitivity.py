@@ -23,7 +23,7 @@ def listed(text: str) -> list[str]:
 
 
 def require_equal_steps(args: argparse.Namespace, engine: str) -> None:
-    """ValueError for options that derivatives do not go with."""
+    """Raise ValueError for options that derivatives do not go with."""
     odd = {
         "--rtol": args.rtol, "--dense": args.dense,
         "--audit-detail": args.audit_detail, "--engine fmu": engine == "fmu",

@@ -78,7 +78,10 @@ def add_units(parser: argparse.ArgumentParser) -> None:
 
 @dataclass(frozen=True)
 class Stepping:
-    """engines, parts: by member, where they differ from `engine` and 1."""
+    """Engines and internal steps of members that are stepped apart.
+
+    engines, parts: by member, where they differ from `engine` and 1
+    """
 
     engine: str
     engines: Mapping[str, str]
@@ -104,7 +107,7 @@ def asked_apart(args: argparse.Namespace) -> bool:
 
 
 def engines_asked(args: argparse.Namespace, network: Network) -> dict[str, str]:
-    """--member; ValueError for what is no member or engine."""
+    """Engines of members by --member; raises ValueError for a name that is no member, and for no engine."""
     found = _pairs(args.member, "--member", "ENGINE", network)
     for name, engine in found.items():
         if engine not in ENGINES:
@@ -113,7 +116,7 @@ def engines_asked(args: argparse.Namespace, network: Network) -> dict[str, str]:
 
 
 def parts_asked(args: argparse.Namespace, network: Network) -> dict[str, int]:
-    """--parts; ValueError for what is no member or positive number."""
+    """Internal steps of members by --parts; raises ValueError for a name that is no member, and for no positive number."""
     out = {}
     for name, text in _pairs(args.parts, "--parts", "N", network).items():
         if not (text.isdecimal() and int(text) > 0):
@@ -123,7 +126,7 @@ def parts_asked(args: argparse.Namespace, network: Network) -> dict[str, int]:
 
 
 def threads_asked(args: argparse.Namespace) -> int | None:
-    """--threads; None: as many as pay.  ValueError below one."""
+    """Threads by --threads, None: as many as pay; raises ValueError below one."""
     if args.threads is not None and args.threads < 1:
         raise ValueError(f"--threads {args.threads}: expected a number of threads from 1")
     return args.threads
@@ -247,7 +250,7 @@ def instance_of(model: Any, engine: str, kernels: Any = "auto", steps: float = 0
 
 
 def kernels_asked(args: argparse.Namespace, engines: Collection[str]) -> str:
-    """--kernels; ValueError where no engine that is asked for has a choice."""
+    """Way to run kernels by --kernels; raises ValueError where no engine that is asked for has a choice."""
     kernels = getattr(args, "kernels", "auto")
     if kernels != "auto" and "native" not in engines:
         raise ValueError(f"--kernels {kernels} is for the native engine, here it is {' and '.join(sorted(engines))}")

@@ -23,7 +23,7 @@ Array = NDArray[Any]
 
 
 def check_table(path: str, option: str = "-o") -> None:
-    """ValueError if a table could not be written there; asked before a run, not after it."""
+    """Raise ValueError if a table could not be written there; asked before a run, not after it."""
     target = Path(path)
     if target.suffix not in (".csv", ".parquet"):
         raise ValueError(f"{option} {path}: the ending must be .csv or .parquet")

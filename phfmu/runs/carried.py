@@ -29,7 +29,7 @@ def carried(thing: Any) -> Any:
 
 
 def carry(thing: Any, found: Any) -> Any:
-    """`thing` goes on from what `carried` gave, possibly in another process; what stands in its place then."""
+    """Let `thing` go on from the data of `carried`, possibly of another process, and return what stands in its place then."""
     if hasattr(type(thing), "CARRIED"):
         for name, value in found.items():
             old = getattr(thing, name)

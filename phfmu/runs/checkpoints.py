@@ -38,13 +38,13 @@ class RunState:
         return {"stretch": self.stretch, "start": self.start, **{n: carried(part) for n, part in self._parts.items()}}
 
     def take(self, found: Mapping[str, Any], *names: str) -> None:
-        """Some of them go on from what was found, in this order."""
+        """Let the parts of these names go on from the data `found`, in this order."""
         for name in names:
             carry(self._parts[name], found[name])
 
 
 def require_continued(stepper: Stepper) -> None:
-    """ValueError for a stepper whose state cannot be kept in a file, with the units that bar it."""
+    """Raise ValueError for a stepper whose state cannot be kept in a file, with the units that bar it."""
     if not hasattr(type(stepper), "CARRIED"):
         raise ValueError(f"--checkpoint: the state of {stepper.what} cannot be kept in a file; leave the option out")
     if stepper.unwritten:

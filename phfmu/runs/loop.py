@@ -210,7 +210,7 @@ def segments(
 
 
 def _require_stepper(item: object) -> None:
-    """TypeError with the remedy for what only leads to a stepper."""
+    """Raise TypeError, with the remedy, for an item that only leads to a stepper."""
     if isinstance(item, str | PathLike | PHDAE | Scene | Network):
         name = str(getattr(item, "name", item))[:60]
         remedy = "Monolithic(model, NativeInstance(model)) with model = build_model(declaration)"
@@ -218,7 +218,7 @@ def _require_stepper(item: object) -> None:
 
 
 def _check_events(stepper: Stepper, options: Options) -> None:
-    """KeyError for unknown names, before the first step, of late events too."""
+    """Raise KeyError for unknown names, before the first step, of late events too."""
     known = with_bare(stepper.settable())
     for e in (e for e in options.events if e.name not in known):
         try:

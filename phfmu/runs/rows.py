@@ -78,7 +78,7 @@ class Rows:
         return kept
 
     def joined(self, width: int) -> RowBlock:
-        """All rows that were not handed on."""
+        """Rows that were not handed on, as one block."""
         if not self._blocks:
             return np.zeros(0), np.zeros((0, width)), np.zeros(0, bool)
         time, values, inside = (np.concatenate(parts) for parts in zip(*self._blocks, strict=True))

@@ -74,7 +74,7 @@ class LogRows:
 
     @staticmethod
     def joined(parts: Sequence["LogRows"]) -> "LogRows":
-        """One after the other."""
+        """The rows of parts, one after the other."""
         if len(parts) == 1:
             return parts[0]
         first = parts[0]

@@ -103,7 +103,7 @@ def summary_table(
 
 
 def audit_html(summary: LedgerSummary) -> str:
-    """The same for a notebook, energies in joule."""
+    """Tables of a summary in HTML for a notebook, energies in joule."""
     tables = [
         grid("", [c.header for c in sheet.columns], [_cells(sheet, row, JOULE) for row in sheet.rows])
         for sheet in sheets(summary)
@@ -163,7 +163,7 @@ def _parts(
 
 
 def _heading(summary: LedgerSummary, scale: Scale) -> str:
-    """Unit, direction and span of what follows."""
+    """Line with the unit, direction and span of time of the energies."""
     if not summary.steps:
         return "no steps: nothing was stored, dissipated or supplied"
     span = f"{counted(summary.steps, 'step')} from t = {summary.t_start:.6g} s to {summary.t_end:.6g} s"

@@ -91,7 +91,7 @@ def sheets(summary: LedgerSummary, events: Sequence[EventRow] = ()) -> Iterator[
 
 
 def all_sheets(summary: LedgerSummary, events: Sequence[EventRow] = ()) -> tuple[Sheet, ...]:
-    """Those without rows too."""
+    """All sheets of a summary, those without rows too."""
     flows = (_components(summary), _terms(summary), _ports(summary), _junctions(summary), _parts(summary))
     return (*flows, _network(summary), _events(events))
 

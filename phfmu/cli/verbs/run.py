@@ -214,7 +214,7 @@ def both(first: Callable[..., None], second: Callable[..., None] | None) -> Call
 
 
 def _every(text: str | None) -> int | float | None:
-    """A number of rows, or a time with its unit; ValueError for anything else."""
+    """Number of rows, or time with its unit, of --every; raises ValueError for anything else."""
     if text is None:
         return None
     try:
@@ -285,7 +285,7 @@ def _print_worst(groups: dict[str, float]) -> None:
 
 
 def _print_notes(notes: list[str]) -> None:
-    """The notes of what was left out or done beside what was asked for."""
+    """Print the first notes about what was left out or done beside what was asked for."""
     for note in notes[:NOTES]:
         print(note)
     if len(notes) > NOTES:

@@ -262,7 +262,7 @@ def _file(args: argparse.Namespace) -> Path | None:
 
 
 def _require_sound(args: argparse.Namespace, declaration: PHDAE, runs: Design) -> None:
-    """ValueError with the problems of the least and the greatest value that each parameter takes."""
+    """Raise ValueError with the problems of the least and the greatest value that each parameter takes."""
     from phfmu.cli.sound import require_sound
     from phfmu.network.scene import Event
 

@@ -104,7 +104,7 @@ def created(history: History) -> dict[str, float]:
 
 
 def links(history: History) -> list[Link]:
-    """All that flowed in a window; energies that are zero are no links."""
+    """Links of all energies that flowed in a window; energies that are zero are no links."""
     accounts = component_energies(history)
     found = [*_through_ports(ports(history), {b.component for b in accounts}), *_in_members(accounts)]
     found += [_link(Node(JUNCTION, name), CREATED, "junctions", -energy) for name, energy in created(history).items()]

@@ -61,7 +61,7 @@ class _Grid:
 
 
 def grid_diagram(ports: Sequence[PortEnergy], below: Mapping[str, str]) -> tuple[str, int]:
-    """The SVG, "" for what is no mesh of up to MOST_JUNCTIONS, and the number of members that were left out.
+    """The SVG, "" if the network is no mesh of up to MOST_JUNCTIONS, and the number of members that were left out.
 
     `below`: of a member, what its title says besides its energies.
     """

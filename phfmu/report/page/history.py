@@ -70,7 +70,7 @@ class History:
 def read_history(path: str | os.PathLike[str]) -> History:
     """One pass over an audit log; the memory it takes is that of its numbers.
 
-    Errors: FileNotFoundError; ValueError for what is not an audit log, or is damaged.
+    Errors: FileNotFoundError; ValueError for a file that is not an audit log, or is damaged.
     """
     import pyarrow as pa
 

@@ -124,7 +124,7 @@ def _over(place: Place, columns: Columns, n: int) -> Floats:
 
 
 def _turn(solid: Shape, columns: Columns, n: int) -> Floats:
-    """Its orientation over the rows as quaternions (n x 4): the rotation nearest to its axes (polar decomposition)."""
+    """Orientation of a solid over the rows as quaternions (n x 4): the rotation nearest to its axes (polar decomposition)."""
     if not solid.axes:
         return np.tile([0.0, 0.0, 0.0, 1.0], (n, 1))
     frame = np.stack([_over(a, columns, n) for a in solid.axes], axis=2)

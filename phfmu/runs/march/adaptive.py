@@ -112,7 +112,7 @@ class Adaptive:
         return []
 
     def march(self, pauses: bool = False) -> NativeMarch | None:
-        """The same steps in compiled code, many a call and recorded; None where only a loop in Python can take them.
+        """The march of these steps in compiled code, many a call and recorded; None where only a loop in Python can take them.
 
         `pauses`: it hands over after each state event.
         """

@@ -78,7 +78,7 @@ def pi_parameters(order: int) -> PIParameters:
 
 
 class EnergySteps:
-    """Steps of a `Coupled`.  ValueError where the option means nothing for what is stepped."""
+    """Steps of a `Coupled` by the energy residual of its junctions; raises ValueError where the option means nothing there."""
 
     CARRIED = (
         "_h", "_last", "_steps", "_smallest", "_largest", "_rejected", "_missed", "_exchanged", "_power", "_floor", "_before",

@@ -253,7 +253,7 @@ def _place(grid: Grid, t: float) -> tuple[int, float]:
 
 
 def _require_fit(options: Options) -> None:
-    """ValueError for options that state events do not go with."""
+    """Raise ValueError for options that state events do not go with."""
     if options.by_energy:
         which = "--energy-rtol" if options.ecco is None else "--ecco"
         raise ValueError(f"{which} does not go with state events yet; leave it out")

@@ -64,7 +64,7 @@ def goals(start: float, end: float, landing: float) -> Iterator[float]:
 
 
 def blocks_of_goals(start: float, end: float, landing: float) -> Iterator[Array]:
-    """The same in arrays of at most `BLOCK`."""
+    """The times of `goals` in arrays of at most `BLOCK`."""
     remaining = goals(start, end, landing)
     while block := list(islice(remaining, BLOCK)):
         yield np.array(block)
@@ -91,7 +91,7 @@ class MarchPosition:
 
 
 def nowhere() -> None:
-    """Nobody wants to know that a march is between two blocks."""
+    """Do nothing between two blocks, where nobody asks for a checkpoint."""
 
 
 class BlockSize:

@@ -142,7 +142,7 @@ class NativeMarch:
         return MarchOutcome(self._ends[:n].tolist(), steps, self._failure(code) if code else None)
 
     def land(self, t: float, goals: Array, room: int) -> Iterator[Landed]:
-        """The same with guards: steps and events; StepFailure after those before it."""
+        """Accepted steps and events of a model with guards; raises StepFailure after those before it."""
         stepper, landing = self._adaptive.stepper, self._landing
         found: LandingMemory = landing.room(room, stepper.landed_records(stepper.instance))
         switched = stepper.model.modes is not None
