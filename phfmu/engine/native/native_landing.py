@@ -23,7 +23,7 @@ STEPS, EVENTS = 64, 128
 
 
 class LandedRows(ctypes.Structure):
-    """ph_landed."""
+    """The structure ph_landed of the runtime."""
 
     _fields_ = [
         *((n, ctypes.c_int) for n in ("steps_room", "events_room", "pause", "steps", "events", "done")),
@@ -33,7 +33,7 @@ class LandedRows(ctypes.Structure):
 
 
 class EventRefusal(ctypes.Structure):
-    """ph_event_refusal."""
+    """The structure ph_event_refusal of the runtime."""
 
     _fields_ = [
         ("reason", ctypes.c_int),
@@ -79,7 +79,7 @@ _MOVE = ctypes.CFUNCTYPE(None, ctypes.c_void_p)
 
 
 class _LentStepsStruct(ctypes.Structure):
-    """ph_lent_steps."""
+    """The structure ph_lent_steps of the runtime."""
 
     _fields_ = [("world", ctypes.c_void_p), ("step", _STEP), ("halved", _HALVED), ("inside", _INSIDE), ("save", _MOVE),
                 ("load", _MOVE)]  # fmt: skip

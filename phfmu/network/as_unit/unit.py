@@ -19,7 +19,7 @@ from phfmu.declare.entries.parameter_limits import limits
 from phfmu.declare.phdae import PHDAE
 from phfmu.discretise.model import Model
 from phfmu.engine.build.runtime_sources import driver_sources
-from phfmu.fmu.export.description import Unit
+from phfmu.fmu.export.description import ExportedUnit
 from phfmu.fmu.export.outward import require_ports, turned
 from phfmu.fmu.export.schedule import fed_inside
 from phfmu.fmu.export.variables import FMUError, FMUVariable, listed
@@ -74,7 +74,7 @@ _TOTALS = {total(name) for name, _, _ in (*LEDGER, *STEP_LEDGER)}
 
 
 @dataclass(frozen=True, eq=False)
-class NetworkUnit(Unit):
+class NetworkUnit(ExportedUnit):
     """`whole`: the members and their coupling; `models`: of the members, in their order, or what stands for a unit inside.
 
     `model` is what is said of the whole where a unit of one model says it of that.  FMUError for what no unit can be.
@@ -348,7 +348,7 @@ class NetworkUnit(Unit):
 def network_unit(
     network: Network, coupling: NamedCoupling, whole: Coupled, models: Sequence[Model | EmbeddedUnit], **options: Any
 ) -> NetworkUnit:
-    """The unit of a network whose members are coupled as in `whole`; `options`: of `Unit`."""
+    """The unit of a network whose members are coupled as in `whole`; `options`: of `ExportedUnit`."""
     joined = {e for j in network.junctions for e in j.ends}
     ports = [
         replace(p, name=of_member(name, p.name), start=p.start)
