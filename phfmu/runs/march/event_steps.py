@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.engine.landing.locate import EPS
 from phfmu.engine.record import Grid
 from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.network.couplings.stepper import Landing
@@ -31,6 +30,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[Any]
 
+EPS = float(np.finfo(float).eps)
 CROWD = int(defined(Path(__file__).parent / "runtime" / "march.h")["CROWD"])
 
 
