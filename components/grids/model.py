@@ -130,7 +130,7 @@ def grid_model(
     """
     if plants not in get_args(Plants):
         raise ValueError(f"plants = '{plants}' is none of {', '.join(get_args(Plants))}")
-    return _Build(grid, plants, faults, breakers, controls, q_limits, saturation).model()
+    return _NetworkBuilder(grid, plants, faults, breakers, controls, q_limits, saturation).model()
 
 
 @dataclass
@@ -144,7 +144,7 @@ class _Node:
     demands: list[complex] = field(default_factory=list)
 
 
-class _Build:
+class _NetworkBuilder:
     def __init__(
         self,
         grid: Grid,

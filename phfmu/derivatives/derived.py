@@ -10,7 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.derivatives.by import By, Given
+from phfmu.derivatives.by import IndependentVariables, ScalarData
 from phfmu.derivatives.event_maps import EventMaps
 from phfmu.derivatives.mode_entry import ModeEntry
 from phfmu.derivatives.tangents import in_parts, require_derived
@@ -64,7 +64,7 @@ def span(t: Array, h: Array) -> tuple[float, float]:
     return (float(t[0] - 1e-9 * h[0]), float(t[-1] + (1 - 1e-9) * h[-1])) if len(t) else (-np.inf, -np.inf)
 
 
-class Met(Protocol):
+class SimultaneousEvents(Protocol):
     """State events that happened at one instant."""
 
     @property
@@ -75,7 +75,7 @@ class Met(Protocol):
     def rests(self) -> tuple[int, ...]: ...
 
 
-def close_events(met: Sequence[Met], names: Sequence[str], h: float) -> list[str]:
+def close_events(met: Sequence[SimultaneousEvents], names: Sequence[str], h: float) -> list[str]:
     """Lines on state events, by number of the guards `names`, in steps of length h, whose sequence other values may change."""
     found, near = list[str](), LIMITS["PILE_UP"] * h
     for e in met:
@@ -113,7 +113,7 @@ class DerivedSteps(Monolithic):
 
     def __init__(self, model: Model, instance: Any, by: Sequence[str]):
         super().__init__(model, instance)
-        self.by = By.of(model.declaration, by)
+        self.by = IndependentVariables.of(model.declaration, by)
         sides = set() if model.modes is None else {s.mode_name for s in model.modes.modes.switches}
         if found := [n for n in self.by.names if n in sides]:
             raise KeyError(f"{model.name}: '{found[0]}' is the mode of an ideal switch; there is no derivative by it")
@@ -164,9 +164,9 @@ class DerivedSteps(Monolithic):
         return tuple(e.events for e in self.met)
 
     @property
-    def known(self) -> Given:
+    def known(self) -> ScalarData:
         """Start values, sizes, limits and units of what it can be derived by."""
-        return Given.of(self.model)
+        return ScalarData.of(self.model)
 
     @property
     def identity(self) -> tuple[Any, ...]:

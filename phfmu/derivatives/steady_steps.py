@@ -48,10 +48,10 @@ def steady_steps(point: NetworkPoint, scheme: Scheme, step: float) -> NetworkPoi
     """
     model = build_model(point.started().compose(), scheme)
     require_derived(model)
-    return _Steady(point, model, step).found()
+    return _SteadyIteration(point, model, step).found()
 
 
-class _Steady:
+class _SteadyIteration:
     def __init__(self, point: NetworkPoint, model: Model, step: float):
         self.point, self.model, self.h = point, model, step
         d, plan = model.declaration, model.step

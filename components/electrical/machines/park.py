@@ -10,7 +10,7 @@ import casadi as ca
 
 from phfmu import Variable, parameter
 from phfmu.components.electrical.machines.machine_data import COUPLING, MachineData
-from phfmu.components.electrical.machines.main_flux import Curve
+from phfmu.components.electrical.machines.main_flux import NoLoadCurve
 from phfmu.components.electrical.phases import ALPHA
 
 #: names of the entries of three-phase quantities in the rotor's frame
@@ -46,7 +46,7 @@ class Inductances:
     axis: tuple[str, ...]
     line: ca.SX | None = None
     leakage: ca.SX | None = None
-    curve: Curve | None = None
+    curve: NoLoadCurve | None = None
     rated: float = 1.0
 
     @property

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from phfmu.derivatives.apart.joint_maps import AnyMaps
 from phfmu.derivatives.apart.member_maps import MemberMaps
-from phfmu.derivatives.by import By, start_tangents_by
+from phfmu.derivatives.by import IndependentVariables, start_tangents_by
 from phfmu.network.interface.end_sums import CONSISTENT, EndSums
 from phfmu.network.interface.joined import Joined
 
@@ -27,7 +27,14 @@ Array = NDArray[np.float64]
 class ApartStart:
     """Members with their names among those of the whole (`at`)."""
 
-    def __init__(self, joined: Joined, sums: EndSums, members: Sequence[AnyMaps], at: Sequence[list[int]], by: By):
+    def __init__(
+        self,
+        joined: Joined,
+        sums: EndSums,
+        members: Sequence[AnyMaps],
+        at: Sequence[list[int]],
+        by: IndependentVariables,
+    ):
         self.joined, self.sums, self.members, self.at, self.by = joined, sums, members, at, by
 
     def slopes(

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from phfmu.derivatives.apart.joint_maps import AnyMaps, JointSlopes, JointSteps, at_once
 from phfmu.derivatives.apart.member_maps import MemberMaps
-from phfmu.derivatives.by import By
+from phfmu.derivatives.by import IndependentVariables
 from phfmu.network.couplings.compiled.master_pattern import Exchanged, Part
 from phfmu.network.interface.instant import Instant
 from phfmu.network.interface.joined import Joined
@@ -39,9 +39,9 @@ class InTurnMaps:
     def __init__(
         self,
         exchanged: Exchanged,
-        members: Sequence[tuple[Member, Part, By]],
+        members: Sequence[tuple[Member, Part, IndependentVariables]],
         groups: list[list[int]],
-        made: Callable[[Member, Part, By], AnyMaps],
+        made: Callable[[Member, Part, IndependentVariables], AnyMaps],
     ):
         self._groups, self._n, self._instant = groups, exchanged.nodes, Instant()
         #: by member, the number of its group

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.derivatives.apart.member_maps import Linearised, MemberMaps
+from phfmu.derivatives.apart.member_maps import MemberMaps, StepDerivatives
 from phfmu.derivatives.apart.unit_maps import UnitMaps
 from phfmu.network.couplings.compiled.master_pattern import Exchanged
 from phfmu.network.interface.joined import Joined
@@ -67,7 +67,7 @@ class JointSlopes:
     which stand in the rows `at` of the interface; `matrix` (n x unknowns x unknowns) is dr/dz, with nothing above its diagonal
     `blocks`."""
 
-    members: list[Linearised]
+    members: list[StepDerivatives]
     rows: list[Array]
     at: list[NDArray[np.intp]]
     matrix: Array

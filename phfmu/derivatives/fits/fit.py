@@ -19,9 +19,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.derivatives.between import Between
+from phfmu.derivatives.between import LinearInterpolation
 from phfmu.derivatives.by import require_known
-from phfmu.derivatives.fits.fit_journal import Journal, Kept, digest
+from phfmu.derivatives.fits.fit_journal import Journal, JournalEntry, digest
 from phfmu.derivatives.gradient import forward_of
 from phfmu.derivatives.measured import TIME
 from phfmu.discretise.model import Model
@@ -259,12 +259,12 @@ class _Problem:
         }
         self._journal = Journal(path, {name: digest(value) for name, value in about.items()})
 
-    def _kept(self, curves: Sequence[Curves]) -> Kept:
+    def _kept(self, curves: Sequence[Curves]) -> JournalEntry:
         rows = [np.column_stack([model, slope]) for own in curves for _, _, _, model, slope in own]
         told = {"sequences": self._last_sequences, "between": self._between, "why": self._why}
-        return Kept(np.vstack(rows), told)
+        return JournalEntry(np.vstack(rows), told)
 
-    def _taken_before(self, kept: Kept) -> list[Curves]:
+    def _taken_before(self, kept: JournalEntry) -> list[Curves]:
         """The curves of runs that were taken before the fit was killed."""
         found, first = list[Curves](), 0
         self._between, self._why = max(self._between, kept.told["between"]), kept.told["why"]
@@ -303,7 +303,7 @@ class _Problem:
         moved = [result.column(derivative_name(TIME, n)) for n in self.free] if s.moves else None
         for m in measured:
             t = e.data.time[there[m]]
-            at = Between(result.time, t, "measurements", "; give --stop")
+            at = LinearInterpolation(result.time, t, "measurements", "; give --stop")
             self._between = max(self._between, at.between)
             slope = np.column_stack([at.of(result.column(derivative_name(m, n))) for n in self.free])
             if moved is not None:
