@@ -10,23 +10,23 @@ from phfmu.declare.expressions.units import PhysicalUnit as Defined
 from phfmu.fmu.words import plain
 from phfmu.fmu.xml import Element, etree, number
 from phfmu.ssp.names import tag
-from phfmu.ssp.structure import Linear, PhysicalUnit, SSPError
+from phfmu.ssp.structure import Linear, SSPError, Unit
 
 
-def read_units(root: Element, kind: str) -> dict[str, PhysicalUnit]:
+def read_units(root: Element, kind: str) -> dict[str, Unit]:
     """Units of a document (`kind`: ssd, ssv) by name."""
     listed = root.find(tag(kind, "Units"))
     return {u.get("name", ""): _read(u) for u in (() if listed is None else listed)}
 
 
-def _read(element: Element) -> PhysicalUnit:
+def _read(element: Element) -> Unit:
     base, name = element.find(tag("ssc", "BaseUnit")), plain(element.get("name", ""), 100)
     factor, offset = float(base.get("factor", "1")), float(base.get("offset", "0"))
     if not (isfinite(factor) and factor > 0 and isfinite(offset)):
         raise SSPError(
             f"unit '{name}' has the factor {factor:g} and the offset {offset:g}; they must be finite, factors positive"
         )
-    return PhysicalUnit(name, factor, offset, tuple(int(base.get(b, "0")) for b in BASE))
+    return Unit(name, factor, offset, tuple(int(base.get(b, "0")) for b in BASE))
 
 
 def undefined(what: str, unit: str, lenient: bool, close: str = "") -> list[str]:
@@ -40,7 +40,7 @@ def undefined(what: str, unit: str, lenient: bool, close: str = "") -> list[str]
     return [f"{words}; its values are taken as they are"]
 
 
-def named(text: str) -> PhysicalUnit | None:
+def named(text: str) -> Unit | None:
     """The unit that a unit text of this package or of an FMU means; None where it is no unit or cannot be read."""
     if not text or text == "1":
         return None
@@ -48,7 +48,7 @@ def named(text: str) -> PhysicalUnit | None:
         found = parse_unit(text)
     except UnitError:
         return None
-    return PhysicalUnit(text, found.factor, 0.0, found.exponents)
+    return Unit(text, found.factor, 0.0, found.exponents)
 
 
 def write_units(parent: Element, kind: str, used: Mapping[str, Defined]) -> None:
@@ -65,7 +65,7 @@ def write_units(parent: Element, kind: str, used: Mapping[str, Defined]) -> None
             base.set("factor", number(unit.factor))
 
 
-def conversion(a: PhysicalUnit | None, b: PhysicalUnit | None, what: str) -> Linear:
+def conversion(a: Unit | None, b: Unit | None, what: str) -> Linear:
     """From values in a to values in b, `what` in words; nothing where one is not told.  rad counts as 1.
 
     SSPError if they are not of one kind.
@@ -79,6 +79,6 @@ def conversion(a: PhysicalUnit | None, b: PhysicalUnit | None, what: str) -> Lin
     return Linear(a.factor / b.factor, (a.offset - b.offset) / b.factor)
 
 
-def _base(unit: PhysicalUnit) -> str:
+def _base(unit: Unit) -> str:
     parts = [f"{b}{e if e != 1 else ''}" for b, e in zip(BASE, unit.exponents, strict=True) if e]
     return ".".join(parts) or "1"
