@@ -35,13 +35,13 @@ class TangentDirections:
         return len(self.parameters) + len(self.inputs)
 
     def of(self, p: Array, u: Array) -> Array:
-        """What belongs to them (.. x n) of what belongs to all parameters (.. x np) and inputs (.. x nu)."""
+        """Entries of these scalars (.. x n) among those of all parameters (.. x np) and inputs (.. x nu)."""
         return np.concatenate([p[..., list(self.parameters)], u[..., list(self.inputs)]], axis=-1)
 
 
 @dataclass(frozen=True)
 class ScalarData:
-    """What may be derived by: start values, nominal values of states, limits of parameters, and units, by name."""
+    """Scalars that a run may be derived by: start values, nominal values of states, limits of parameters, and units, by name."""
 
     start: dict[str, float]
     nominal: dict[str, float]
@@ -83,7 +83,7 @@ class IndependentVariables:
 
     @staticmethod
     def of(declaration: PHDAE, names: Sequence[str]) -> IndependentVariables:
-        """Vectors stand for all their entries.  KeyError names what is no parameter, input or state."""
+        """Vectors stand for all their entries.  Raises KeyError for a name that is no parameter, input or state."""
         d = declaration
         found = IndependentVariables.chosen(*declared_scalars(d), names, d.unknown_name)
         if modes := [n for n in found.names if n in d.modes]:

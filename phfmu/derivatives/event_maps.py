@@ -60,7 +60,7 @@ class JumpSlope(Slope):
 
 @dataclass(frozen=True)
 class EventInstant:
-    """Where an event is looked at: its time, states (nx), algebraic variables (na), inputs (nu), parameters (np)."""
+    """The instant of an event: its time, states (nx), algebraic variables (na), inputs (nu), parameters (np)."""
 
     t: float
     x: Array
@@ -120,7 +120,7 @@ class EventMaps:
         return found if not a.any() else self._with_algebraics(found, a, at)
 
     def _with_algebraics(self, own: Slope, a: Array, at: EventInstant) -> Slope:
-        """What follows from algebraic variables, of which these are the derivatives, too."""
+        """Derivatives with those through algebraic variables, whose own derivatives are given."""
         plan, d = self._model.instant, self._directions
         if self._algebraics is None:
             self._algebraics = PlanFunction(plan, lambda rows: rows.algebraics, d, moves=True)

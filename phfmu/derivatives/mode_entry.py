@@ -47,7 +47,7 @@ class ModeEntry:
         self._size, self._nominal = system.size, system.nominal
 
     def slope(self, before: EventInstant, after: Array) -> Slope:
-        """Of the states after entering, by those before it, with the parameters of the mode that is entered."""
+        """Derivatives of the states after entering by those before it, with the parameters of the mode that is entered."""
         nx, na = len(before.x), len(before.a)
         nothing = np.zeros(na)
 

@@ -41,7 +41,7 @@ ALL = slice(None)
 
 @dataclass(frozen=True)
 class PlanPoint:
-    """Where a plan is looked at, a row a point: x (n x nx + 1), w (n x nw), u (n x k nu), p (n x np), h (n)."""
+    """Points at which a plan is linearised, a row each: x (n x nx + 1), w (n x nw), u (n x k nu), p (n x np), h (n)."""
 
     x: Array
     w: Array

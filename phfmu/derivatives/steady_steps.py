@@ -1,4 +1,4 @@
-"""Where steps stay: the steady state of a scheme, which an operating point of the equations is a power of the step away from.
+"""Steady state of a scheme, which an operating point of the equations is a power of the step away from.
 
 Steps of a balanced network turn with it, Phi_h(X(a) x) = X(a) Phi_h(x), since its energies do.  So they have a steady state of
 their own, which one step turns by w h and leaves as it is,

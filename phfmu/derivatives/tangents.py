@@ -350,7 +350,7 @@ def told_of_instant(rows: PlanRows) -> ca.SX:
 
 
 def places(names: Sequence[str], sizes: Sequence[int]) -> dict[str, slice]:
-    """Where blocks of these sizes are, one after the other."""
+    """Slices of blocks of these sizes, one after the other."""
     found, start = {}, 0
     for name, size in zip(names, sizes, strict=True):
         found[name] = slice(start, start + size)

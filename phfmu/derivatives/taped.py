@@ -53,7 +53,7 @@ class TapedSteps(DerivedSteps):
         self._instants = False
 
     def needs(self, signals: Sequence[str]) -> None:
-        """What will be measured."""
+        """Choose what is taped by the signals that will be measured."""
         self._instants = any(self._quantities[n].block in OF_INSTANT for n in signals)
 
     def forget(self) -> None:
@@ -208,7 +208,7 @@ class TapedSteps(DerivedSteps):
         return [leg for leg in self.legs if leg.n and leg.occurrence is not None and len(leg.occurrence.fired) > 1]
 
     def _cut(self, leg: Leg, back: NativeReverse) -> None:
-        """What follows from a value set after a leg does not follow from that at the start."""
+        """Zero the bars of values that were set after a leg, since they do not follow those at the start."""
         d, names = self.by.directions, self.by.names
         gone = {n for name in leg.cuts for n in self.by.among(name)}
         kinds = [(back.bars.p, i) for i in d.parameters] + [(back.bars.u, i) for i in d.inputs]

@@ -224,7 +224,7 @@ class _Unknowns(ca.Callback):
 
 
 def _scales(A: ca.Function, step: StepFunction, nominal: Array) -> tuple[ca.DM, ca.DM]:
-    """Of the rows (nw) and columns (nw) of A: unknowns in their nominal values, the largest entry of each row at the start 1."""
+    """Scales of rows (nw) and columns (nw) of A: unknowns in nominal values, the largest entry of each row at the start 1."""
     columns = np.where(nominal > 0, nominal, 1.0)
     entries = np.abs(np.array(ca.DM(A(*step.start, columns)), float)) * columns
     rows = np.max(np.where(np.isfinite(entries), entries, 0.0), axis=1, initial=0.0)

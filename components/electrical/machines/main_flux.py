@@ -61,7 +61,7 @@ class Saturation:
         return "table" if self.points else self.kind
 
     def problems(self) -> list[tuple[str, str]]:
-        """What keeps the energy from being convex, or the curve from being one, with the numbers and the remedy."""
+        """Points and numbers for which the energy is not convex, or the curve is none, with the numbers and the remedy."""
         if self.axes not in ("dq", "d") or self.kind not in ("quadratic", "exponential"):
             text = f"saturation: axes = '{self.axes}', kind = '{self.kind}'"
             return [(text, "give axes = 'dq' or 'd', kind = 'quadratic' or 'exponential'")]

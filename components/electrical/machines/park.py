@@ -183,7 +183,7 @@ def main_flux(flux: ca.SX, L: Inductances) -> tuple[list[ca.SX], list[ca.SX], ca
 
 
 def saturation_energy(flux: ca.SX, L: Inductances) -> ca.SX | None:
-    """What a saturated machine with the fluxes (d, q, 0, rotor) stores beyond `magnetic_energy`; None for a linear one."""
+    """Energy of a saturated machine with the fluxes (d, q, 0, rotor) beyond `magnetic_energy`; None for a linear one."""
     if L.curve is None:
         return None
     mu, stiffness, base = main_flux(flux, L)

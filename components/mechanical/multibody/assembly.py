@@ -200,7 +200,7 @@ def _spanned(
 
 
 def _velocity(body: RigidBody | None, at: np.ndarray) -> np.ndarray:
-    """Of a point of a body that is now at a point of the world."""
+    """Velocity of the point of a body that is now at a point of the world."""
     return np.zeros(3) if body is None else body.velocity + np.cross(body.angular_velocity, at - body.centre)
 
 

@@ -91,7 +91,7 @@ def tensor(name: str, inertia: Any, mass: float, offset: np.ndarray, axes: Any) 
 
     inertia:  3 moments or a symmetric 3 x 3 tensor, in `axes` (columns in the frame of the body), about a point `offset` [m] away
               from the centre of mass
-    Errors:   ValueError for what is neither
+    Errors:   ValueError if it is neither
     """
     given = np.asarray(inertia, float)
     j = np.diag(given) if given.shape == (3,) else given

@@ -75,7 +75,7 @@ class Declaration:
         }
 
     def at(self, point: Point) -> ca.SX:
-        """Its position (dim x 1). Errors: ValueError for what is no point."""
+        """Its position (dim x 1).  Raises ValueError for another object than a point."""
         if not isinstance(point, Particle | Support | MovingSupport | DrivenPoint | LinearCombination):
             raise ValueError(
                 f"{self.parts.name}: at({point!r}): that is no point; give what particle(), support(), moving_support() or "
@@ -274,7 +274,7 @@ class Declaration:
 
 
 def _particles(point: Point) -> tuple[Particle | DrivenPoint, ...]:
-    """What moves a point."""
+    """The particles that move a point."""
     if isinstance(point, LinearCombination):
         return tuple(p for p, _ in point.terms)
     return (point,) if isinstance(point, Particle | DrivenPoint) else ()

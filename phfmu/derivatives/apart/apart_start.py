@@ -83,7 +83,7 @@ class ApartStart:
         return S
 
     def _by_names(self, m: AnyMaps, D: Array, S: Array, at: list[int]) -> Array:
-        """What follows states and names, by the names of the whole."""
+        """Derivatives by states and names, by the names of the whole."""
         found = D[:, : m.nx] @ S
         found[:, at] += D[:, m.nx : m.nx + m.names]
         return found

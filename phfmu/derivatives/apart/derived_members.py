@@ -265,7 +265,7 @@ class DerivedMembers(Coupled):
         raise ValueError(f"{self.joined.network.name}: derivatives are told of equal steps; leave out --rtol")
 
     def companion(self, scheme: Scheme) -> DerivedMembers:
-        """As of `Coupled`, derived too."""
+        """The companion of `Coupled`, derived too."""
         if self.lands:
             raise ValueError(
                 f"{self.joined.network.name}: derivatives through state events are told of steps that are not damped; leave out "
@@ -284,7 +284,7 @@ class DerivedMembers(Coupled):
         self._acts, self._begun = other._acts, other._begun
 
     def taken(self, instance: Any, t0: float, h: float, n: int) -> Steps:
-        """As of `Coupled`; derivatives of steps of a companion count once this one goes on from it (`follow`)."""
+        """Steps taken, as in `Coupled`; derivatives of those of a companion count once this one goes on from it (`follow`)."""
         if instance is not self:
             instance.go_on(self)
         return instance.advance(t0, h, n)
@@ -312,12 +312,14 @@ class DerivedMembers(Coupled):
         return [m.state() for m in self.maps.members]
 
     def landed_step(self, before: list[Array], t: float, h: float) -> JointSteps:
-        """What the step from t by h that all have landed is derived by."""
+        """The step from t by h that all have landed, with what its derivatives need."""
         return self.joint_step(before, [self._outside(i, t, h, 0) for i in range(len(self.maps.members))], t, h, [])
 
     def joint_step(self, before: list[Array], given: list[Array], t: float, h: float, states: list[Any]) -> JointSteps:
-        """What the step that was taken last, from t and the states `before`, is derived by; given: inputs from outside at its
-        nodes; states: all that members are at t, where they step in turn."""
+        """The step that was taken last, from t and the states `before`, with what its derivatives need.
+
+        given: inputs from outside at its nodes;  states: all that members are at t, where they step in turn
+        """
         parts = list[Any]()
         z, instants = self.maps.unknowns(self.master.unknowns, self.joined, states, given, t)
         for m, x, u in zip(self.maps.members, before, given, strict=True):
@@ -403,7 +405,10 @@ class DerivedMembers(Coupled):
 
 
 def by_of(joined: Joined, names: Sequence[str]) -> IndependentVariables:
-    """What members stepped apart are derived by.  KeyError for names that are none; ValueError for units without derivatives."""
+    """Independent variables of members stepped apart.
+
+    Raises KeyError for unknown names, and ValueError for units without derivatives.
+    """
     if not any(isinstance(m, FMUMember) for m in joined.members):
         return IndependentVariables.of(joined.network.compose(), names)
     _require_derivable(joined.network, joined.members)

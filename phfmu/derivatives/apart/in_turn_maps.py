@@ -95,10 +95,10 @@ class InTurnMaps:
         return np.tile(self._means, (len(h), 1, 1))
 
     def passed_on(self, slopes: JointSlopes, told: list[Array], z: Array) -> None:
-        """As of `JointMaps`: no signals are exchanged within these steps."""
+        """Nothing: no signals are exchanged within these steps."""
 
     def passed_back(self, slopes: JointSlopes, told: list[Array], z: Array) -> None:
-        """As of `JointMaps`: no signals are exchanged within these steps."""
+        """Nothing: no signals are exchanged within these steps."""
 
     def slopes(self, steps: JointSteps, acts: Sequence[Array]) -> JointSlopes:
         """Derivatives of steps; `acts`: 1 of the names of each member that still act."""

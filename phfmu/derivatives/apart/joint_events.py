@@ -53,7 +53,7 @@ class JointEvents:
         self._junctions = np.array([names.index(n) for n in joined.face.names], int)
 
     def now(self) -> EventInstant:
-        """Where all members are."""
+        """The common instant of all members."""
         x, p = (np.concatenate([getattr(m.instance, n) for m in self._members]) for n in ("x", "parameters"))
         a, t = self.lander.algebraics, float(self._members[0].instance.time)
         free = self._joined.free[self._joined.face.column < 0]

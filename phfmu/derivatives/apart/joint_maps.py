@@ -96,7 +96,7 @@ def _solved(A: Array, right: Array, by_columns: bool) -> Array:
 
 
 def at_once(unknowns: int) -> int:
-    """How many steps with so many unknowns of the interface are linearised at a time."""
+    """Number of steps with so many unknowns of the interface that are linearised at a time."""
     return min(STEPS, max(1, ROOM // max(unknowns, 1) ** 2))
 
 

@@ -196,7 +196,7 @@ class MemberMaps:
 
     @property
     def quantities(self) -> list[Quantity]:
-        """Of each column of the member what it is."""
+        """The quantity in each column of the member."""
         known = {q.name: q for q in quantities(self.member.model)}
         return [known[n] for n in self.member.names]
 

@@ -174,7 +174,7 @@ class SensitiveMembers(DerivedMembers):
     # -- state events ----------------------------------------------------------------------------------------------------
 
     def land(self, t0: float, h: float, n: int, first: int = 0, changed: bool = True) -> Iterator[Landing]:
-        """As of `Coupled`; a step comes with the event at its end, by which its length is derived."""
+        """Land as `Coupled` does; a step comes with the event at its end, by which its length is derived."""
         assert self.events is not None
         self._begun, self.grid, own = True, h, len(self.own_names)
         waiting: tuple[Array, Array, Steps, JointSteps] | None = None

@@ -97,7 +97,7 @@ class _Point:
 
 
 def why_not(m: FMUMember) -> str:
-    """What a unit lacks for derivatives of runs through it; "" for nothing."""
+    """The capability that a unit lacks for derivatives of runs through it; "" for nothing."""
     face = m.unit.interface
     if not face.derivatives:
         return "it tells no directional derivatives (providesDirectionalDerivative(s) is not true)"
@@ -119,7 +119,7 @@ def why_not(m: FMUMember) -> str:
 
 
 def scalars_of(m: FMUMember) -> tuple[list[str], list[str], list[str]]:
-    """What it can be derived by: parameters and signals, inputs of ports, states."""
+    """Scalars that it can be derived by: parameters and signals, inputs of ports, states."""
     return _parameters(m), [*m.unit.inputs], [*m.unit.interface.derived["states"]]
 
 
@@ -205,7 +205,7 @@ class UnitMaps:
 
     @property
     def quantities(self) -> list[Quantity]:
-        """Of each column of the member where its derivatives are; a block of none for those that have none."""
+        """The place of the derivatives of each column of the member; a block of none for those that have none."""
         found, energies = list[Quantity](), {}
         start = 0
         for p in self.unit.ports:

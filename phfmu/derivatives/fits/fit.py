@@ -57,7 +57,7 @@ class Experiment:
 
 @dataclass(frozen=True)
 class Fit:
-    """What was found: values and standard errors by name, root mean square of the residuals by signal, in its unit.
+    """The result of a fit: values and standard errors by name, root mean square of the residuals by signal, in its unit.
 
     residual: weighted root mean square, which is 1 where weights are standard deviations of noise
     correlation (n x n): of the estimates;  undetermined: directions that the data do not tell, as name -> share
@@ -281,7 +281,7 @@ class _Problem:
         return found
 
     def _curves(self, i: int, theta: Array) -> Curves:
-        """Of each measured signal: times, data, the run's values there, and their derivatives."""
+        """Times and data of each measured signal, the run's values there, and their derivatives."""
         e, s = self.experiments[i], self.stepper
         values = dict(e.values) | dict(zip(self.free, theta.tolist(), strict=True))
         measured = [m for m in self.measure if m in e.data.names]
@@ -313,7 +313,7 @@ class _Problem:
         return found
 
     def fit(self, best: Any) -> Fit:
-        """What was found, from SciPy's result."""
+        """The fit that SciPy's result describes."""
         theta, names = best.x, self.free
         curves, by_signal = [], dict[str, list[Array]]()
         for e, own in zip(self.experiments, self._all(theta), strict=True):
