@@ -102,7 +102,8 @@ def test_the_house_is_measured_on_any_tree(tmp_path: Path) -> None:
         "phfmu/engine/e.c": "int f(int a) {\n" + "    a++;\n" * 60 + "}\n\nstatic int g(void) {\n    return 1;\n}\n",
         "phfmu/engine/runtime/k.c": "int k(int a) {\n    return l(a);\n}\n",
         "phfmu/engine/runtime/l.c": "/* f is named here only */\nint l(int a) {\n    return k(a);\n}\n",
-        "phfmu/engine/f.py": "x = 'a scheme is called gradient-pair'\n",
+        "phfmu/engine/f.py": "class Twin:\n    '''What it is.'''\n\n\nx = 'a scheme is called gradient-pair'\n",
+        "phfmu/engine/g.py": "class Twin:\n    '''Something else.'''\n\n\nclass _Single:\n    pass\n",
         "tests/test_a.py": "x = 1\n" * 451,
     }
     for name, content in files.items():
@@ -113,13 +114,16 @@ def test_the_house_is_measured_on_any_tree(tmp_path: Path) -> None:
     found = {row[0]: row[1] for row in rows(made.stdout)[2:]}
     assert list(found) == [row[0] for row in below("house")[2:]]
     expected = {
-        "files of the package": 8,
+        "files of the package": 9,
         "files over 450 lines, package": 1,
         "files over 450 lines, tests": 1,
         "functions over 60 lines, Python": 1,
         "functions over 60 lines, C": 1,
-        "files below 60 lines, Python": 3,
+        "files below 60 lines, Python": 4,
+        "of these with one importer": 1,  # schemes/b.py; a.py is too long
         "folders of more than 15 files, Python": 0,
+        "class names that stand for several classes": 1,
+        "docstrings that begin with a relative clause": 1,
         "circles of C calls": 1,
         "C files in a circle": 2,
         "circles of imports": 1,

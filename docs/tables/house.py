@@ -20,6 +20,8 @@ from pages import ROOT, Made, table
 #: the tree that the page compares with: engine, couplings and units in three flat folders
 BEFORE = "1f76368"
 SHORT_FILE, LONG_FILE, LONG_FUNCTION, WINDOW, FULL = 60, 450, 60, 8, 15
+#: first words of docstrings that do not say what they are about
+HEADLESS = {"What", "Of", "How", "Where", "Which", "Who", "Whose", "As"}
 #: kind of part -> words of one there is and the folders a new one could touch; files with such a word are what is touched
 KINDS = {
     "component": (("heavy_top",), ("phfmu", "components")),
@@ -130,6 +132,39 @@ class Tree:
         spans = [Span(self.name(p), len(text(p).splitlines())) for p in self.sources if p.suffix == ".py"]
         return longest([s for s in spans if s.lines < SHORT_FILE and not s.name.endswith("__.py")])
 
+    def lonely(self) -> list[str]:
+        """Splinters that one module alone imports: each is a part of that one, unless a reader looks for it by name."""
+        importers: dict[str, list[str]] = {}
+        for name, others in self.graph.items():
+            for other in others:
+                importers.setdefault(other, []).append(name)
+        return [s.name for s in self.splinters() if len(importers.get(module(s.name), ())) == 1]
+
+    @cached_property
+    def trees(self) -> dict[str, ast.Module]:
+        """Name of each module -> its syntax."""
+        return {self.name(p): ast.parse(text(p)) for p in self.sources if p.suffix == ".py"}
+
+    def homonyms(self) -> list[str]:
+        """Names of public classes that are declared in several files."""
+        places: dict[str, set[str]] = {}
+        for name, tree in self.trees.items():
+            for node in ast.walk(tree):
+                if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                    places.setdefault(node.name, set()).add(name)
+        return sorted(name for name, files in places.items() if len(files) > 1)
+
+    def headless(self) -> list[str]:
+        """Docstrings that begin with a relative clause, so that a reader has to guess what they are about."""
+        found = []
+        for name, tree in self.trees.items():
+            for node in ast.walk(tree):
+                if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+                    words = (ast.get_docstring(node) or "").split(maxsplit=1)
+                    if words and words[0].rstrip(",.:;") in HEADLESS:
+                        found.append(f"{name}:{getattr(node, 'lineno', 1)}")
+        return found
+
     def full_folders(self) -> list[str]:
         """Folders with more modules than a reader takes in at once."""
         count: dict[str, int] = {}
@@ -163,7 +198,10 @@ class Tree:
             f"functions over {LONG_FUNCTION} lines, Python": len(self.long_functions((".py",))),
             f"functions over {LONG_FUNCTION} lines, C": len(self.long_functions((".c", ".h", ".inc"))),
             f"files below {SHORT_FILE} lines, Python": len(self.splinters()),
+            "of these with one importer": len(self.lonely()),
             f"folders of more than {FULL} files, Python": len(self.full_folders()),
+            "class names that stand for several classes": len(self.homonyms()),
+            "docstrings that begin with a relative clause": len(self.headless()),
             "circles of imports": len(circles),
             "files in a circle": sum(map(len, circles)),
             "imports upward": len(self.upward()),
@@ -179,6 +217,7 @@ class Tree:
         yield said("files over the limit", [f"{s.name} ({s.lines})" for s in self.long_files(self.sources)])
         functions = self.long_functions((".py", ".c", ".h", ".inc"))
         yield said("functions over the limit", [f"{s.name} ({s.lines})" for s in functions])
+        yield said("classes of one name", self.homonyms())
         yield said("circles", [" - ".join(c) for c in self.circles()])
         yield said("imports upward", self.upward())
         yield said("circles of C calls", [" - ".join(Path(f).name for f in c) for c in self.circles_of_calls()])

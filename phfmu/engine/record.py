@@ -15,7 +15,7 @@ from phfmu.words import meant
 
 Array = NDArray[Any]
 
-#: what there is: the whole signal table, parts of it, and ledger rows and counters of each step
+#: records that there are: the whole signal table, parts of it, and ledger rows and counters of each step
 RECORD: tuple[str, ...] = (
     "signals",
     "x",
@@ -34,7 +34,7 @@ RECORD: tuple[str, ...] = (
 ALL = f"there are: {', '.join(RECORD)}"
 #: recorded name -> block of signals
 BLOCKS = {"a": "a", "y_step": "y_step", "energy": "H"}
-#: what is solved for at the end of a step, which may fail
+#: records that are solved for at the end of a step, which may fail
 PRESENT = {"signals", "energy"}
 
 

@@ -1,4 +1,4 @@
-"""Grid steps of coupled members with state events: what is located and what happens; the twin of runtime/events/events.c.
+"""Grid steps of coupled members with state events, their location and jumps; the twin of runtime/events/events.c.
 
 Instances by themselves land in compiled code.  docs/understand/events.md has the rules.
 """

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from phfmu.engine.landing.event_jump import Laws, struck
 from phfmu.engine.port_jumps import JumpKernel
 from phfmu.events.event_plan import EventPlan
-from phfmu.events.impulse import Columns
+from phfmu.events.impulse import ImpulseColumns
 from phfmu.network.members.engine_member import EngineMember
 from phfmu.network.members.node_values import Offer
 from phfmu.outcome.status import EventRefused
@@ -60,11 +60,11 @@ class Party(Protocol):
 
     @property
     def components(self) -> Sequence[int]: ...
-    def columns(self) -> Columns:
+    def columns(self) -> ImpulseColumns:
         """As they are now."""
         ...
 
-    def move(self, at: Columns, m: Array) -> None: ...
+    def move(self, at: ImpulseColumns, m: Array) -> None: ...
     def place(self, t: float) -> None:
         """Gives the member its states."""
         ...
@@ -78,10 +78,10 @@ class EngineParty:
         self._member, self._kernel, self._which = member, kernel, fired.jumps if fired else []
         self._x, self._p = member.instance.x.copy(), fired.p if fired else member.instance.parameters
 
-    def columns(self) -> Columns:
+    def columns(self) -> ImpulseColumns:
         return self._kernel.columns(self._x, self._p).chosen(self._which)
 
-    def move(self, at: Columns, m: Array) -> None:
+    def move(self, at: ImpulseColumns, m: Array) -> None:
         self._x[list(self._kernel.moved)] += at.L @ m
 
     def place(self, t: float) -> None:
@@ -99,12 +99,12 @@ class UnitParty:
     def __init__(self, member: FMUMember, offer: Offer, ports: list[int]):
         self._member, self._offer, self._ports = member, offer, ports
 
-    def columns(self) -> Columns:
+    def columns(self) -> ImpulseColumns:
         y = self._member.end_output()[self._offer.kicked][self._ports]
         S = self._offer.jump()[np.ix_(self._ports, self._ports)]
-        return Columns(np.zeros((0, len(y))), y[None], S, np.zeros(0))
+        return ImpulseColumns(np.zeros((0, len(y))), y[None], S, np.zeros(0))
 
-    def move(self, at: Columns, m: Array) -> None:
+    def move(self, at: ImpulseColumns, m: Array) -> None:
         s = np.zeros(len(self._offer.kicked))
         s[self._ports] = m
         self._member.shift(s, 0.0)
@@ -149,13 +149,13 @@ class Joint:
             [*jumping, *[started.plan.owner[started.events[0]] + at] * (self._n - len(jumping))], int
         )
 
-    def columns(self) -> Columns:
+    def columns(self) -> ImpulseColumns:
         found = [p.columns() for p in self._parties]
         S = sum((T.T @ c.S @ T for c, T in zip(found, self._maps, strict=True)), np.zeros((self._n, self._n)))
         c = np.vstack([c.c @ T for c, T in zip(found, self._maps, strict=True)])
-        return Columns(np.zeros((0, self._n)), c, S, np.concatenate([c.e for c in found]))
+        return ImpulseColumns(np.zeros((0, self._n)), c, S, np.concatenate([c.e for c in found]))
 
-    def move(self, _: Columns, m: Array) -> None:
+    def move(self, _: ImpulseColumns, m: Array) -> None:
         for p, T in zip(self._parties, self._maps, strict=True):
             p.move(p.columns(), T @ m)
 

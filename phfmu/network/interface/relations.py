@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array
 
 from phfmu.declare.phdae import PHDAE
-from phfmu.events.switch_system import Undetermined
+from phfmu.events.switch_system import UndeterminedDirection
 from phfmu.network.interface.joined import Joined
 from phfmu.network.interface.shared_jumps import SharedJumps
 from phfmu.network.members.engine_member import EngineMember
@@ -94,7 +94,7 @@ class Relations:
                 at += n
         self._n = at
         #: directions that no row determines in the present modes, with their columns
-        self.undetermined: list[Undetermined] = []
+        self.undetermined: list[UndeterminedDirection] = []
 
     @property
     def names(self) -> list[str]:

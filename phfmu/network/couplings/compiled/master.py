@@ -40,7 +40,7 @@ from phfmu.schemes.constraints.impulses import POINTS
 Array = NDArray[Any]
 
 #: what `timed` tells of, as `ph_part` does
-PARTS = ("join", "steps", "exchange", "solve")
+PARTS = ("join", "steps", "exchange", "solve", "readings")
 LEDGER = ("stored", "dissipated", "supplied", "numerical", "moved", "pairs")
 
 
@@ -168,9 +168,9 @@ class Master:
         return self._solver.spread(xi)
 
     def timed(self) -> Array:
-        """Seconds of PARTS, to which the loop adds from now on, where one thread runs it: two readings of a clock a call."""
+        """Seconds of PARTS, to which the loop adds from now on, where one thread runs it; its clock is read twice a call."""
         spent = np.zeros(len(PARTS))
-        clock = self.memory.fill("ph_clock", {"spent": spent, "last": 0.0, "part": 0})
+        clock = self.memory.fill("ph_clock", {"spent": spent, "last": 0.0, "lap": 0.0, "part": 0})
         for struct in (self._struct, *self._array):
             struct.clock = ctypes.addressof(clock)
         return spent

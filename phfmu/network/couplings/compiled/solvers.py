@@ -148,7 +148,8 @@ class AndersonSolver(_Remembering):
             "begun": 0, "count": 0, "newest": 0, "count_before": 0, "newest_before": 0, "X": np.zeros((room, n)),
             "F": np.zeros((room, n)), "size": np.zeros(n), "size_before": np.zeros(n), "from": np.zeros(n),
             "xi": np.zeros(n), "f": np.zeros(n),
-            "Q": np.zeros((most, n)), "R": np.zeros((most, most)), "c": np.zeros(most), "kept": np.zeros(most, np.int32),
+            "Q": np.zeros((most, n)), "R": np.zeros((most, most)), "c": np.zeros(most),
+            "inverse": np.zeros(n), "kept": np.zeros(most, np.int32),
         }  # fmt: skip
         own, nothing = t.memory.fill("ph_anderson", values), np.zeros(0)
         self.fields = {"found": nothing, "missed": nothing, "memory": ctypes.addressof(own)}

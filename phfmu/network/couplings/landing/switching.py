@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from phfmu.discretise.model import build_model
 from phfmu.discretise.within import polynomial_of
 from phfmu.engine.native.native import NativeInstance
-from phfmu.engine.native.native_landing import Lent
+from phfmu.engine.native.native_landing import StepCallbacks
 from phfmu.engine.switched import SwitchedInstance, stepped
 from phfmu.network.couplings.coupling import AllSteps
 from phfmu.network.couplings.monolithic import Monolithic
@@ -115,7 +115,7 @@ class Switching:
         #: how many guards there are
         self.guards = 0 if model.events is None else model.events.n
         if model.modes is None:
-            self._whole.landing[0].lend(Lent(self, self._whole))
+            self._whole.landing[0].lend(StepCallbacks(self, self._whole))
         else:
             self._whole.native.lend(self)
         names = [n for v in model.declaration.algebraics for n in v.names()]

@@ -68,23 +68,45 @@ static void add(ph_anderson *a, const double *xi, const double *move, int n) {
     }
 }
 
-/* The column of F that is j-th newest, scaled, without its parts along the q columns of Q: it becomes the
- * next one, if what is left is more than rounding. */
+/* The differences of f over the sizes of the unknowns, newest first, as rows of Q; their lengths in c. The
+ * largest. */
+static double scaled(ph_anderson *a, int n) {
+    double largest = 0.0;
+    for (int j = 0; j < a->count; j++) {
+        const double *f = row(a, a->F, j, n);
+        double *column = a->Q + j * n;
+        for (int i = 0; i < n; i++)
+            column[i] = f[i] * a->inverse[i];
+        a->c[j] = sqrt(dot(column, column, n));
+        largest = fmax(largest, a->c[j]);
+    }
+    return largest;
+}
+
+/* Takes from a column its parts along the q first ones of Q, which it adds to r; what is left of its length.
+ */
+static double apart(const ph_anderson *a, double *column, double *r, int q, int n) {
+    for (int k = 0; k < q; k++) {
+        const double *along = a->Q + k * n, part = dot(along, column, n);
+        r[k] += part;
+        for (int i = 0; i < n; i++)
+            column[i] -= part * along[i];
+    }
+    return sqrt(dot(column, column, n));
+}
+
+/* Column j of those that are scaled, without its parts along the q first ones, becomes the next of them, if
+ * what is left is more than rounding. A column of which much is left is orthogonal to working accuracy at
+ * once, others after a second pass (Parlett, The Symmetric Eigenvalue Problem, 6.9). */
 static int orthogonal(ph_anderson *a, int j, int q, int n, double least) {
-    const double *f = row(a, a->F, j, n);
-    double *column = a->Q + q * n, *r = a->R + q * a->most, whole, left;
-    for (int i = 0; i < n; i++)
-        column[i] = f[i] / a->size[i];
-    whole = sqrt(dot(column, column, n));
+    double *column = a->Q + q * n, *r = a->R + q * a->most, left;
+    const double whole = a->c[j];
+    if (q < j)
+        memcpy(column, a->Q + j * n, bytes(n));
     ph_clear(r, q);
-    for (int twice = 0; twice < 2; twice++)
-        for (int k = 0; k < q; k++) {
-            const double part = dot(a->Q + k * n, column, n);
-            r[k] += part;
-            for (int i = 0; i < n; i++)
-                column[i] -= part * a->Q[k * n + i];
-        }
-    left = sqrt(dot(column, column, n));
+    left = apart(a, column, r, q, n);
+    if (left < PH_ANDERSON_TWICE * whole)
+        left = apart(a, column, r, q, n);
     if (!(left > PH_ANDERSON_DROPPED * whole) || left <= least)
         return 0;
     for (int i = 0; i < n; i++)
@@ -96,22 +118,17 @@ static int orthogonal(ph_anderson *a, int j, int q, int n, double least) {
 
 /* c = argmin |S (f - F c)| for the differences that are kept; their number. */
 static int least_squares(ph_anderson *a, int n) {
-    double largest = 0.0;
     int q = 0;
-    for (int j = 0; j < a->count; j++) {
-        const double *f = row(a, a->F, j, n);
-        double square = 0.0;
-        for (int i = 0; i < n; i++)
-            square += f[i] / a->size[i] * (f[i] / a->size[i]);
-        largest = fmax(largest, sqrt(square));
-    }
+    double largest;
+    for (int i = 0; i < n; i++)
+        a->inverse[i] = 1.0 / a->size[i];
+    largest = scaled(a, n);
     for (int j = 0; j < a->count && q < n; j++)
         q += orthogonal(a, j, q, n, DBL_EPSILON * n * largest);
-    for (int k = 0; k < q; k++) {
-        a->c[k] = 0.0;
-        for (int i = 0; i < n; i++)
-            a->c[k] += a->Q[k * n + i] * (a->f[i] / a->size[i]);
-    }
+    for (int i = 0; i < n; i++)
+        a->inverse[i] *= a->f[i];
+    for (int k = 0; k < q; k++)
+        a->c[k] = dot(a->Q + k * n, a->inverse, n);
     for (int k = q - 1; k >= 0; k--) {
         a->c[k] /= a->R[k * a->most + k];
         for (int l = 0; l < k; l++)

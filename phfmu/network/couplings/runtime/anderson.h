@@ -15,6 +15,9 @@
 /* Part of a column that is not in those before it, below which it is rounding. */
 #define PH_ANDERSON_DROPPED 1e-12
 
+/* Part of a column's length, below which what is left of it is not orthogonal yet. */
+#define PH_ANDERSON_TWICE 0.5
+
 #define PH_ANDERSON_ITERATIONS 60
 
 /* A ring of differences: the one that is j steps older than the newest is row (newest + j) % room. A step
@@ -38,6 +41,7 @@ typedef struct ph_anderson {
     double *Q;           /* most*n */
     double *R;           /* most*most */
     double *c;           /* most */
+    double *inverse;     /* n: of the sizes; work */
     int *kept;           /* most: differences that are more than rounding */
 } ph_anderson;
 

@@ -240,14 +240,15 @@ CPU time of a step with all its columns and ledger rows: of the composed model i
 the ratios of neighbours; `trials`: of each member per step.
 
 The second table divides a step apart by members, native ones and the same as FMUs (FMI 3.0): time per member and step,
-of the shortest of 30 turns. A clock in the compiled loop tells it (with its readings, two for each call of a library; in a run
-it is off). `steps` is spent in steps and derivatives of the members, `exchange` in their functions that save, load, set and read,
-`join` in rows, matrix and records, `solve` in what solves the interface and, at
-[bare nodes](../understand/glossary.md#bare-node), the impulses; `columns` in Python, which makes the columns and ledger rows
-of 100 steps at once. `own` is all but `steps`.
+of the shortest of 30 turns. A clock in the compiled loop tells it, which is read twice for each call of a library; what a reading
+costs is measured and taken out, and in a run the clock is off. `steps` is spent in steps and derivatives of the members,
+`exchange` in their functions that save, load, set and read, `join` in rows, matrix and records, `solve` in what solves the
+interface and, at [bare nodes](../understand/glossary.md#bare-node), the impulses; `columns` in Python, which makes the columns
+and ledger rows of 100 steps at once. `own` is all but `steps`.
 
 The third table has all couplings, with one held value per step and members of order 2: CPU time of a step, in compiled code
-and in Python, and the time per member and step that is not the members' own steps. What iterates pays it in each trial.
+and in Python, and the time per member and step that is not the members' own steps, also as a ratio to that of `newton`. What
+iterates pays it in each trial.
 
 Below, masses and springs, order 2: the cost of a member does not grow with their number. Members that are alike share a plan
 and its code: CPU seconds for the plans, for all instances with their libraries (compiled before), and for what joins them, with

@@ -24,18 +24,20 @@ class OwnTime:
     """Time per member and step in us.
 
     steps: in steps and derivatives of the members;  exchange: in their functions that save, load, set and read;
-    join: rows, matrix and records;  solve: of the interface and the impulses;  columns: in Python, of all rows together
+    join: rows, matrix and records;  solve: of the interface and the impulses;  readings: of the clock that tells these, which
+    runs do without;  columns: in Python, of all rows together
     """
 
     steps: float
     exchange: float
     join: float
     solve: float
+    readings: float
     columns: float
 
     @property
     def own(self) -> float:
-        """All that the members' steps and derivatives are not."""
+        """All that the members' steps and derivatives are not, nor the clock."""
         return self.exchange + self.join + self.solve + self.columns
 
 
