@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pages import DOCS, Made
+from pages import DOCS, PageBlock
 
 from phfmu import Collocated, NativeInstance, Options, build_model
 from phfmu.audit import AuditWriter, read
@@ -50,9 +50,9 @@ def recorded(**how: Any) -> tuple[Result, Jumps]:
     return result, jumps
 
 
-def event_picture() -> Made:
+def event_picture() -> PageBlock:
     """docs/results/img/events.png: currents of three poles that open one by one, energies of the jumps."""
-    return Made(draw=_draw)
+    return PageBlock(draw=_draw)
 
 
 def _draw() -> Sequence[Path]:

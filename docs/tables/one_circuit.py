@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pages import DOCS, Made, declared, table
+from pages import DOCS, PageBlock, declared, table
 
 from phfmu import Coupled, EngineMember, NativeInstance, Network, Options, PythonInstance, build_model, run
 from phfmu.runs.result import Result
@@ -35,7 +35,7 @@ def step(h: float) -> tuple[np.ndarray, np.ndarray, dict[str, float]]:
     return before, unit.x.copy(), {name: float(np.sum(value)) for name, value in unit.ledger().items()}
 
 
-def one_step() -> Made:
+def one_step() -> PageBlock:
     """A step of 2 ms at 24 V: both states at its ends, the slopes of H at its start, and those between its ends."""
     before, after, _ = step(STEP)
     parts = zip(energies(before), energies(after), strict=True)
@@ -52,7 +52,7 @@ def one_step() -> Made:
     return table(["", "at the start", "at the end", "slope of H at the start", "slope of the step"], rows)
 
 
-def one_balance() -> Made:
+def one_balance() -> PageBlock:
     """The energies of that step in millijoule; the residual in joule."""
     before, after, book = step(STEP)
     coil, plates = (float(b - a) for a, b in zip(energies(before), energies(after), strict=True))
@@ -62,9 +62,9 @@ def one_balance() -> Made:
     return table(head, [[*cells, f"{residual:.0g}"]])
 
 
-def mental_model_picture() -> Made:
+def mental_model_picture() -> PageBlock:
     """docs/img/mental-model.png: circuit, slope of a step, energy of a step, ledger of a run."""
-    return Made(draw=_draw)
+    return PageBlock(draw=_draw)
 
 
 def _draw() -> Sequence[Path]:
@@ -140,7 +140,7 @@ def _slope(ax: Any) -> None:
 
 
 def _energy(ax: Any) -> None:
-    """Where the energy of one step comes from and where it goes."""
+    """Sources and destinations of the energy of one step."""
     before, after, book = step(STEP)
     coil, plates = (1e3 * float(b - a) for a, b in zip(energies(before), energies(after), strict=True))
     lost, supplied = 1e3 * book["dissipated"], 1e3 * book["supplied"]

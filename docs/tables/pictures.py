@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pages import DOCS, Made
+from pages import DOCS, PageBlock
 
 from phfmu import PHDAE, NativeInstance, Options, PythonInstance, build_model, default_scheme, energy, skew, state
 from phfmu.audit import AuditWriter, read
@@ -55,9 +55,9 @@ def largest(values: np.ndarray, window: int) -> np.ndarray:
     return np.abs(values).reshape(-1, window).max(axis=1)
 
 
-def smib_picture() -> Made:
+def smib_picture() -> PageBlock:
     """docs/img/smib.png: stator current and rotor speed after the torque step, and the ledger of every step."""
-    return Made(draw=_draw_smib)
+    return PageBlock(draw=_draw_smib)
 
 
 def _draw_smib() -> Sequence[Path]:
@@ -122,9 +122,9 @@ def _draw_smib() -> Sequence[Path]:
     return (path,)
 
 
-def skew_picture() -> Made:
+def skew_picture() -> PageBlock:
     """docs/img/skew.png: which way `skew(a, b, 1)` turns the point (a, b), and `skew(b, a, 1)`."""
-    return Made(draw=_draw_skew)
+    return PageBlock(draw=_draw_skew)
 
 
 def turned(swapped: bool) -> np.ndarray:

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from phfmu.engine.model import EngineModel, require_built, require_one_mode
 from phfmu.engine.record import Grid, recordable
-from phfmu.outcome.steps import Happened, Landed
+from phfmu.outcome.steps import EventRecord, Landed
 
 if TYPE_CHECKING:
     from phfmu.engine.impulses import Ports
@@ -62,7 +62,7 @@ class Instance(Signals):
         require_one_mode(model)
         self.model = model
         #: state events of the last `do_step` or `run`
-        self.happened: tuple[Happened, ...] = ()
+        self.happened: tuple[EventRecord, ...] = ()
 
     # -- readings ------------------------------------------------------------------------------------------------------
 

@@ -17,7 +17,7 @@ from phfmu.engine.reference.python import PythonInstance
 from phfmu.events.modes import Mode
 from phfmu.outcome.limits import is_sliver
 from phfmu.outcome.status import StepFailure
-from phfmu.outcome.steps import Happened, Landed
+from phfmu.outcome.steps import EventRecord, Landed
 
 if TYPE_CHECKING:
     from phfmu.engine.native.native_modes import NativeModes
@@ -53,7 +53,7 @@ class SwitchedInstance(Signals):
         #: called with each instance that is made
         self.made: Callable[[Any], None] | None = None
         #: state events of the last `do_step`
-        self.happened: tuple[Happened, ...] = ()
+        self.happened: tuple[EventRecord, ...] = ()
 
     @property
     def kernels(self) -> str:

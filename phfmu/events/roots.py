@@ -50,7 +50,7 @@ class Fit:
 
 @cache
 def fit(k: int) -> Fit:
-    """For steps with k nodes: 2k + 2 Chebyshev points with both ends."""
+    """The fit for steps with k nodes: 2k + 2 Chebyshev points with both ends."""
     m = 2 * k + 1
     tau = (1.0 - np.cos(np.pi * np.arange(m + 1) / m)) / 2.0
     return Fit(tau, _inverse(tau), _inverse(tau[1:]))

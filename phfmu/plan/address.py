@@ -67,7 +67,7 @@ def step_size(layout: Layout, term: Term, j: int, node: int) -> int:
     return layout.nv - 1
 
 
-#: by the kind of value that a term reads
+#: places by the kind of value that a term reads
 READ: dict[ValueKind, Place] = {ValueKind.COSTATE: costate, ValueKind.ALGEBRAIC: algebraic, ValueKind.INPUT: port_input}
 
 

@@ -161,7 +161,7 @@ class Layout:
         return np.array([u.nominal for u in self.unknowns], float).reshape(-1)
 
 
-#: by the kind of a row and of a value: (layout, index, node) -> where it is
+#: functions (layout, index, node) -> place, by the kind of a row and of a value
 _ROW: dict[Row, Callable[[Layout, int, int], int]] = {
     Row.BALANCE: lambda layout, i, node: layout.at(INCREMENT, i, node),
     Row.EQUATION: lambda layout, i, node: layout.at(ALGEBRAIC, i, node),

@@ -66,7 +66,7 @@ def write_units(parent: Element, kind: str, used: Mapping[str, Defined]) -> None
 
 
 def conversion(a: Unit | None, b: Unit | None, what: str) -> Linear:
-    """From values in a to values in b, `what` in words; nothing where one is not told.  rad counts as 1.
+    """The linear map of values in a to values in b, `what` in words; the identity where one is not told.  rad counts as 1.
 
     SSPError if they are not of one kind.
     """

@@ -23,7 +23,7 @@ from phfmu.engine.native.library import drivers
 from phfmu.engine.native.native import NativeInstance
 from phfmu.engine.native.structures import Header, Structures
 from phfmu.network.couplings.monolithic import Monolithic
-from phfmu.network.members.columns import Columns
+from phfmu.network.members.columns import SignalColumns
 from phfmu.network.members.consistent import InconsistentState, require_consistent
 from phfmu.network.members.inputs import with_bare
 from phfmu.network.scene import Event
@@ -48,7 +48,7 @@ HEADER = Header(
 STOPPED = -2
 #: steps of a thread that earn what lanes take once: 10 to 50 ms for instances, books and programs
 PAYS = 20_000
-#: of each component: energies, see runs.h
+#: energies of each component, see runs.h
 ENERGIES = ("constant", "was", "now", "carry", "varying")
 
 
@@ -118,7 +118,7 @@ class _NativeRun:
 
     def _values(self, task: ModelTask) -> dict[str, Any]:
         model, plan, layout, o = task.model, task.model.step, self.instance.layout, task.options
-        memory, columns = self._memory, Columns(model, layout)
+        memory, columns = self._memory, SignalColumns(model, layout)
         measured = [(m.kind, *columns.place(m.signal)) for m in task.measures]
         ends, energies = layout["a_end"].start, layout["H"].start
         places, kinds = Places(model), list(KINDS)

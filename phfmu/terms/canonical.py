@@ -1,4 +1,4 @@
-"""From expressions of a declaration to canonical terms: symbols replaced by those of a pool, and where each one lives."""
+"""Canonical terms of expressions of a declaration: symbols replaced by those of a pool, and the place of each one."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Locator:
     """The place of each scalar symbol of a model, by its element hash."""
 
     def __init__(self, model: PHDAE, pairs: Sequence[PortPair]):
-        #: what was made of expressions, by their form: once per kind
+        #: terms made of expressions, by the form of these: once per kind
         self.known: dict[Hashable, Any] = {}
         self.where: dict[int, ValueAt] = {time.element_hash(): ValueAt(ValueKind.TIME, 0)}
         owners = (

@@ -14,7 +14,7 @@ from phfmu.engine.model import EngineModel
 from phfmu.engine.native.library import Column, Record, Signatures, placed, record_widths, typed, view
 from phfmu.engine.record import Grid
 from phfmu.outcome.status import EventRefused, Status, StepFailure
-from phfmu.outcome.steps import Happened, Landed
+from phfmu.outcome.steps import EventRecord, Landed
 
 Floats = NDArray[np.float64]
 
@@ -23,7 +23,7 @@ STEPS, EVENTS = 64, 128
 
 
 class LandedRows(ctypes.Structure):
-    """ph_landed."""
+    """The structure ph_landed of the runtime."""
 
     _fields_ = [
         *((n, ctypes.c_int) for n in ("steps_room", "events_room", "pause", "steps", "events", "done")),
@@ -33,7 +33,7 @@ class LandedRows(ctypes.Structure):
 
 
 class EventRefusal(ctypes.Structure):
-    """ph_event_refusal."""
+    """The structure ph_event_refusal of the runtime."""
 
     _fields_ = [
         ("reason", ctypes.c_int),
@@ -79,7 +79,7 @@ _MOVE = ctypes.CFUNCTYPE(None, ctypes.c_void_p)
 
 
 class _LentStepsStruct(ctypes.Structure):
-    """ph_lent_steps."""
+    """The structure ph_lent_steps of the runtime."""
 
     _fields_ = [("world", ctypes.c_void_p), ("step", _STEP), ("halved", _HALVED), ("inside", _INSIDE), ("save", _MOVE),
                 ("load", _MOVE)]  # fmt: skip
@@ -140,7 +140,7 @@ _REFUSED = tuple(Status).index(Status.NO_CONVERGENCE)
 
 def one_by_one(
     room: LandingMemory, take: Callable[[], Iterable[Landed]], pause: bool
-) -> Iterator[tuple[float, float, Happened | None]]:
+) -> Iterator[tuple[float, float, EventRecord | None]]:
     """(start, length, None) of each step, (time, 0, what happened) of each event: `take` calls compiled code once more.
 
     Others follow each of these before the next.  `pause`: ends after the events of one time, if there are any.
@@ -202,7 +202,7 @@ class NativeLanding:
 
     def to(
         self, t: float, end: float, changed: bool, pause: bool, check: Callable[[int], None]
-    ) -> Iterator[tuple[float, float, Happened | None]]:
+    ) -> Iterator[tuple[float, float, EventRecord | None]]:
         """The lent steps and events in [t, end], after those before them; see `one_by_one`."""
         self._lib.ph_land_to(self._in, t, end, int(changed))
         room = self.room(1, ())
@@ -243,9 +243,9 @@ class NativeLanding:
         rows = {name: np.full((n + STEPS, sizes[name]), np.nan) for name in record}
         return LandingMemory(rows, n + STEPS, self._plan.n, self._model.step.ncomp, self._width, pause=pause)
 
-    def step(self, t: float, h: float, parts: int, check: Callable[[int], None]) -> tuple[Happened, ...]:
+    def step(self, t: float, h: float, parts: int, check: Callable[[int], None]) -> tuple[EventRecord, ...]:
         """A communication step in `parts` equal internal steps, told as one; the events in it."""
-        out, found = self._one.rows, list[Happened]()
+        out, found = self._one.rows, list[EventRecord]()
         code, out.done = self._lib.ph_land_begin(self._in, t, h, parts), 0
         while not code and not out.done:
             code = self._lib.ph_land_on(self._in, out)
@@ -308,7 +308,7 @@ class LandingMemory:
         for i in range(self.out.events):
             who, end = self._fired[i], int(self._step[i])
             parts = self._energy[i].copy(), self._lost[i].copy(), self._signals[i].copy()
-            happened = Happened(
+            happened = EventRecord(
                 float(self._when[i]), _numbers(who > 0), _numbers(who > 1), *parts, words(self.changed[i])
             )
             yield self._landed(begin, end, happened)
@@ -316,7 +316,7 @@ class LandingMemory:
         if begin < self.out.steps:
             yield self._landed(begin, self.out.steps, None)
 
-    def _landed(self, begin: int, end: int, happened: Happened | None) -> Landed:
+    def _landed(self, begin: int, end: int, happened: EventRecord | None) -> Landed:
         part = {name: array[begin:end].copy() for name, array in self._rows.items()} if end > begin else {}
         return Landed(self._t[begin:end].copy(), self._h[begin:end].copy(), part, happened)
 
@@ -330,9 +330,9 @@ class _Event:
         arrays = (self._when, self._step, self._fired, *self._parts)
         self.rows = LandedRows(0, 0, 0, 0, 0, 0, None, None, *(a.ctypes.data for a in arrays))
 
-    def happened(self) -> Happened:
+    def happened(self) -> EventRecord:
         energy, lost, signals = (part.copy() for part in self._parts)
-        return Happened(
+        return EventRecord(
             float(self._when[0]), _numbers(self._fired > 0), _numbers(self._fired > 1), energy, lost, signals
         )
 

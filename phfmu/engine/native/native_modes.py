@@ -21,20 +21,20 @@ from phfmu.engine.record import Grid
 from phfmu.events.modes import Mode, most_held
 from phfmu.events.switch_tables import mode_rows, switch_tables
 from phfmu.outcome.status import EventRefused, Status
-from phfmu.outcome.steps import Happened, Landed
+from phfmu.outcome.steps import EventRecord, Landed
 
 ROWS = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p)
 MOST = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int)
 
 
 class _Source(ctypes.Structure):
-    """ph_mode_source."""
+    """The structure ph_mode_source of the runtime."""
 
     _fields_ = [("world", ctypes.c_void_p), ("rows", ROWS), ("mode", ROWS), ("most", MOST)]
 
 
 class _Mode(ctypes.Structure):
-    """ph_mode."""
+    """The structure ph_mode of the runtime."""
 
     _fields_ = [
         *((n, ctypes.c_void_p) for n in ("rows", "instance", "landing", "fresh")),
@@ -43,7 +43,7 @@ class _Mode(ctypes.Structure):
 
 
 class _Refusal(ctypes.Structure):
-    """ph_mode_refusal."""
+    """The structure ph_mode_refusal of the runtime."""
 
     _fields_ = [
         ("reason", ctypes.c_int),
@@ -130,7 +130,7 @@ class NativeModes:
         """Take the steps of others in place of those of the instances from now on, in each mode."""
         self._steps = steps
 
-    def to(self, t: float, end: float, changed: bool, pause: bool) -> Iterator[tuple[float, float, Happened | None]]:
+    def to(self, t: float, end: float, changed: bool, pause: bool) -> Iterator[tuple[float, float, EventRecord | None]]:
         """The lent steps and events in [t, end], after those before them; see `one_by_one`."""
         lib, room = self._mode_code.lib, self.room(1, ())
         self.push()
@@ -148,11 +148,11 @@ class NativeModes:
 
         return one_by_one(room, take, pause)
 
-    def step(self, t: float, h: float, parts: int) -> tuple[Happened, ...]:
+    def step(self, t: float, h: float, parts: int) -> tuple[EventRecord, ...]:
         """A communication step in `parts` equal internal steps, told as one; the events in it."""
         lib = self._mode_code.lib
         lib.ph_modes_begin(self._in, t, h, parts)
-        room, found = self._one, list[Happened]()
+        room, found = self._one, list[EventRecord]()
         room.out.done = 0
         while not room.out.done:
             self.push()

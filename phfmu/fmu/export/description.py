@@ -43,7 +43,7 @@ class Span:
 
 
 @dataclass(frozen=True, eq=False)
-class Unit:
+class ExportedUnit:
     """A model to be exported, with its declaration.  `step`: longest internal and suggested communication step, s; `stop`: s.
 
     `node_inputs`: ports also have inputs and outputs at the nodes of a step, and impulses where they take some; `impulses`: the
@@ -224,12 +224,12 @@ def generation_tool() -> str:
 
 
 def generation_date() -> str | None:
-    """From SOURCE_DATE_EPOCH; without it there is no date, so that the same model gives the same bytes."""
+    """The date of SOURCE_DATE_EPOCH; without it there is no date, so that the same model gives the same bytes."""
     epoch = os.environ.get("SOURCE_DATE_EPOCH")
     return datetime.fromtimestamp(int(epoch), UTC).strftime("%Y-%m-%dT%H:%M:%SZ") if epoch else None
 
 
-def root(unit: Unit, fmi_version: str, token: tuple[str, str] | None) -> Element:
+def root(unit: ExportedUnit, fmi_version: str, token: tuple[str, str] | None) -> Element:
     """`fmiModelDescription`; `token`: name and value of the attribute, None leaves it and the date out."""
     element = etree.Element("fmiModelDescription", fmiVersion=fmi_version, modelName=unit.name)
     if token:
@@ -244,7 +244,7 @@ def root(unit: Unit, fmi_version: str, token: tuple[str, str] | None) -> Element
     return element
 
 
-def add_units(parent: Element, unit: Unit) -> None:
+def add_units(parent: Element, unit: ExportedUnit) -> None:
     """`UnitDefinitions` with SI exponents and factors of all units in use."""
     texts = sorted({v.unit for v in unit.variables if v.unit != "1"})
     definitions = etree.SubElement(parent, "UnitDefinitions")
@@ -274,7 +274,7 @@ def add_log_categories(parent: Element) -> None:
         etree.SubElement(categories, "Category", name=name, description=text)
 
 
-def add_experiment(parent: Element, unit: Unit) -> None:
+def add_experiment(parent: Element, unit: ExportedUnit) -> None:
     """`DefaultExperiment`: importers take the communication step from stepSize."""
     experiment = etree.SubElement(parent, "DefaultExperiment", startTime=number(unit.model.t0))
     if unit.stop is not None:
@@ -282,7 +282,7 @@ def add_experiment(parent: Element, unit: Unit) -> None:
     experiment.set("stepSize", number(unit.step))
 
 
-def build_description(unit: Unit, sources: Sequence[str]) -> bytes:
+def build_description(unit: ExportedUnit, sources: Sequence[str]) -> bytes:
     """buildDescription.xml of FMI 3.0, in all archives: how to compile `sources`, which export the standard's functions only."""
     root = etree.Element("fmiBuildDescription", fmiVersion="3.0")
     configuration = etree.SubElement(root, "BuildConfiguration", modelIdentifier=unit.identifier)

@@ -24,7 +24,7 @@ _KEPT = 3  # names of a kind of variables that are left out
 
 
 @dataclass
-class LeftOut:
+class OmittedVariables:
     """Variables of one kind that cannot be read or set here: how many, and the first names."""
 
     count: int = 0
@@ -50,7 +50,7 @@ class ModelDescription:
         self.times: dict[str, float] = {}
         self.variables: dict[str, Scalar] = {}
         self.units: dict[str, PhysicalUnit] = {}
-        self.left_out: dict[str, LeftOut] = {}
+        self.left_out: dict[str, OmittedVariables] = {}
         self._counted = 0
         self._path: list[str] = []
         self._type = ""
@@ -207,7 +207,7 @@ class ModelDescription:
         )
 
     def _leave_out(self, kind: str, name: str) -> None:
-        self.left_out.setdefault(plain(kind, 50), LeftOut()).add(plain(name, 100))
+        self.left_out.setdefault(plain(kind, 50), OmittedVariables()).add(plain(name, 100))
         limits.within(self._about(), len(self.left_out), 100, "types of variables")
 
     # -- text -----------------------------------------------------------------------------------------------

@@ -32,7 +32,7 @@ Array = NDArray[Any]
 
 
 @dataclass(frozen=True)
-class Fired:
+class FiredEvents:
     """Events of a model with the plan `plan` that happen now: parameters after them, and which of them come to rest."""
 
     plan: EventPlan
@@ -56,12 +56,12 @@ class Fired:
 class Party(Protocol):
     """A member with [jumps that fired | ports | constraints]; components: those of the member with energy in play."""
 
-    fired: Fired | None
+    fired: FiredEvents | None
 
     @property
     def components(self) -> Sequence[int]: ...
     def columns(self) -> ImpulseColumns:
-        """As they are now."""
+        """Columns of the member in its present state."""
         ...
 
     def move(self, at: ImpulseColumns, m: Array) -> None: ...
@@ -73,7 +73,7 @@ class Party(Protocol):
 class EngineParty:
     """A member of an engine, with the events that have fired there."""
 
-    def __init__(self, member: EngineMember, kernel: JumpKernel, fired: Fired | None):
+    def __init__(self, member: EngineMember, kernel: JumpKernel, fired: FiredEvents | None):
         self.components, self.fired = kernel.components, fired
         self._member, self._kernel, self._which = member, kernel, fired.jumps if fired else []
         self._x, self._p = member.instance.x.copy(), fired.p if fired else member.instance.parameters
@@ -94,7 +94,7 @@ class UnitParty:
     """A unit that takes impulses; `ports`: places of those that are told, among those it takes (kicked: their outputs)."""
 
     components: Sequence[int] = (0,)
-    fired: Fired | None = None
+    fired: FiredEvents | None = None
 
     def __init__(self, member: FMUMember, offer: Offer, ports: list[int]):
         self._member, self._offer, self._ports = member, offer, ports
@@ -114,17 +114,17 @@ class UnitParty:
 
 
 @dataclass(frozen=True)
-class Place:
+class PartyPlace:
     """The place of a party: its ports by the impulses a between members (ports x a), and its first component among all."""
 
     at: Array
     component: int
 
 
-class Joint:
+class ImpulseSystem:
     """The columns of all, in the order jumps of all, a, constraints of all; energies of all `components` (rows of c)."""
 
-    def __init__(self, parties: Sequence[Party], places: Sequence[Place]):
+    def __init__(self, parties: Sequence[Party], places: Sequence[PartyPlace]):
         self._parties, self._maps = parties, list[Array]()
         first = [p.columns() for p in parties]
         jumps = [len(c.e) for c in first]

@@ -31,7 +31,7 @@ MISSED, SMALL = -1, -2
 
 
 class _Goals(ctypes.Structure):
-    """ph_goals."""
+    """The structure ph_goals of the runtime."""
 
     _fields_ = [("t", ctypes.c_void_p), ("n", ctypes.c_int)]
 

@@ -24,7 +24,7 @@ from phfmu.terms.rank import constraint_jacobian, null_vectors
 from phfmu.terms.term import CONSTRAINT, EMPTY, ENERGY, JOINT, MASS, Term, Terms
 from phfmu.terms.velocities import velocity_of
 
-#: of bodies of robots whose published moments leave a direction nearly without mass, the smallest are some 4e-6
+#: ratio of masses below which one is light: the smallest moments of bodies of robots published nearly without mass are 4e-6
 LIGHT = 5e-6
 #: ratio of masses from which on constraint forces swing the lighter ones faster than steps that suit the heavier ones
 UNEVEN = 1e3

@@ -10,7 +10,7 @@ import numpy as np
 from phfmu.discretise.model import Model
 from phfmu.studies.bench.paper import (
     STEPS,
-    Run,
+    PaperRun,
     Statement,
     convergence,
     four_particle_models,
@@ -69,7 +69,7 @@ def _save(figure: Any, path: Path) -> None:
     plt.close(figure)
 
 
-def _figure_3(dg: Run, mp: Run, folder: Path) -> None:
+def _figure_3(dg: PaperRun, mp: PaperRun, folder: Path) -> None:
     figure, (a, b, c) = _axes(3)
     a.plot(dg.t, dg.H)
     a.set(xlabel="t in s", ylabel="H in J", title="Hamiltonian, DG")
@@ -87,7 +87,7 @@ def _figure_3(dg: Run, mp: Run, folder: Path) -> None:
     _csv(folder / "figure_3.csv", {"t": dg.t[1:], "H_DG": dg.H[1:], "dH_DG": dg.dH, "W_DG": dg.dissipated, **sums})
 
 
-def _figure_4(dg: Run, folder: Path) -> None:
+def _figure_4(dg: PaperRun, folder: Path) -> None:
     figure, axes = _axes(2)
     for axis, rows, title in zip(
         axes, (dg.g, dg.dgv), ("position level, $g_i(q)$", "velocity level, $Dg_i(q)\\,v$"), strict=True
@@ -103,7 +103,7 @@ def _figure_4(dg: Run, folder: Path) -> None:
     _csv(folder / "figure_4.csv", columns)
 
 
-def _figure_5(dg: Run, mp: Run, folder: Path) -> None:
+def _figure_5(dg: PaperRun, mp: PaperRun, folder: Path) -> None:
     figure, (a, b) = _axes(2)
     for run, name in ((mp, "MP"), (dg, "DG")):
         a.plot(run.t, run.H, label=name)

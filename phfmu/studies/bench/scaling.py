@@ -1,4 +1,4 @@
-"""How time, memory and code grow with the size of a model."""
+"""Growth of time, memory and code with the size of a model."""
 
 from __future__ import annotations
 
@@ -162,7 +162,7 @@ def report(
         own = list(run(family, sizes or family.sizes, progress))
         found += own
         lines += [f"{family.name}: n = {family.parts}, step {family.step:g} s", table_text(own), ""]
-    caption = f"{machine.processor()}; load {before} before, {machine.load()} after; one thread, process CPU time"
+    caption = f"{machine.machine_line(before)}; one thread, process CPU time"
     folder.mkdir(parents=True, exist_ok=True)
     write_csv(folder / "scaling.csv", found, [caption, machine.versions()])
     written = ["scaling.csv"]

@@ -135,7 +135,7 @@ class _Table:
         return factor_to(wanted, {n: self._unit(key, n) for n in names}, self.where)
 
     def _unit(self, key: str, name: str) -> PhysicalUnit | None:
-        """As it is told here, else by the unit."""
+        """The unit of measurement of a variable: the one of the table, else the one that the unit tells."""
         told = self.table.get(f"{key}_unit")
         try:
             return unit_of(self.interface, name) if told is None else parse_unit(str(told))
@@ -143,7 +143,7 @@ class _Table:
             raise FMUError(f"{self.where}: {key}_unit: {error}") from None
 
     def _vector(self) -> bool:
-        """Told by a list, or as an array."""
+        """True for ports given as a list, or by the name of an array."""
         told = self.table["effort"]
         return not isinstance(told, str) or told not in self.interface.variables
 

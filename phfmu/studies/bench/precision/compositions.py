@@ -48,7 +48,7 @@ KAHAN_LI = Composition(
 COMPOSITIONS = {c.name: c for c in (SUZUKI, KAHAN_LI)}
 
 
-class Composed:
+class ComposedSteps:
     """Steps of an instance (Python or native) composed of substeps.  DeclarationError if the model dissipates."""
 
     def __init__(self, instance: Any, composition: Composition):

@@ -12,7 +12,7 @@ from phfmu.terms.term import Terms
 from phfmu.terms.velocities import velocity_of
 
 
-class Flat:
+class FlatSystem:
     """A declaration as one flat system of expressions."""
 
     def __init__(self, declaration: PHDAE, terms: Terms):
