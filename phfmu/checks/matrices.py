@@ -248,7 +248,7 @@ def _derived(entries: Entries, sample: Sample) -> list[Problem]:
 
 
 @dataclass(frozen=True)
-class SignLost:
+class IndefiniteBlock:
     """A group of blocks of R that share rows: its owner, entries and rows, its lowest eigenvalue, the row closest to the
     direction of that, and the values the blocks depend on."""
 
@@ -265,7 +265,9 @@ class SignLost:
         return f"{text}, at {', '.join(shown)}" if shown else text
 
 
-def sign_lost(model: PHDAE, values: Mapping[str, float], t: float = 0.0, owner: str | None = None) -> list[SignLost]:
+def sign_lost(
+    model: PHDAE, values: Mapping[str, float], t: float = 0.0, owner: str | None = None
+) -> list[IndefiniteBlock]:
     """The groups of R (of one `owner`) with a negative eigenvalue at time t; the lowest first.
 
     `values`: by scalar name those of states, algebraic variables, inputs and parameters that are not as declared; names the
@@ -284,5 +286,5 @@ def sign_lost(model: PHDAE, values: Mapping[str, float], t: float = 0.0, owner: 
             continue
         label = "; ".join(dict.fromkeys(b.label for b in blocks))
         at = sample.at_start(ca.vertcat(*(ca.vec(b.expr) for b in blocks)))
-        found.append(SignLost(min(owners), label, tuple(names), float(value), names[direction], at))
+        found.append(IndefiniteBlock(min(owners), label, tuple(names), float(value), names[direction], at))
     return sorted(found, key=lambda s: s.eigenvalue)

@@ -75,9 +75,9 @@ _TOTALS = {total(name) for name, _, _ in (*LEDGER, *STEP_LEDGER)}
 
 @dataclass(frozen=True, eq=False)
 class NetworkUnit(ExportedUnit):
-    """`whole`: the members and their coupling; `models`: of the members, in their order, or what stands for a unit inside.
+    """A network as a unit; `whole`: members and coupling; `models`: of the members, in their order, or of units inside.
 
-    `model` is what is said of the whole where a unit of one model says it of that.  FMUError for what no unit can be.
+    `model` is what is said of the whole where a unit of one model says it of that.  Raises FMUError for what no unit can be.
     """
 
     whole: Coupled = None  # type: ignore[assignment]
@@ -264,7 +264,7 @@ class NetworkUnit(ExportedUnit):
             yield from self._happened()
 
     def _of_member(self, name: str, model: Model | EmbeddedUnit, first: dict[str, int]) -> Iterator[Quantity]:
-        """Those of a member, `first`: where its entries of each block begin; what junctions and signals feed cannot be set."""
+        """Quantities of a member; `first`: its first entry of each block; what junctions and signals feed cannot be set."""
         network = self.whole.joined.network
         ends = {e.port for j in network.junctions for e in j.ends if e.member == name}
         ends |= {w.input.partition("[")[0] for w in network.wires if w.target == name}

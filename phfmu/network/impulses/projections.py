@@ -48,7 +48,7 @@ class ProjectionLosses:
 
 
 class Projections:
-    """`keys`: the parts that these losses are of junctions, empty where there are none."""
+    """Losses of projections of a composed model; `keys`: the parts of junctions that they are, empty where there are none."""
 
     def __init__(self, model: Model):
         self._model = model

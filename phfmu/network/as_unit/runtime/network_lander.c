@@ -1,5 +1,6 @@
-/* Members that all land on state events together: landing/coupled_lander.py in C. Guards are those of a model that
- * has the states of the members with events side by side; it takes no step, steps are those of the network.
+/* Members that all land on state events together: landing/coupled_lander.py in C. Guards are those of a model
+ * that has the states of the members with events side by side; it takes no step, steps are those of the
+ * network.
  */
 #include "network_lander.h"
 
@@ -145,7 +146,7 @@ void *ph_lander_make(ph_whole *w, const ph_lander *about) {
 }
 
 double *ph_lander_rates(const void *of) {
-    return ((const lander *)of)->landing->rates;
+    return ph_land_rates(((const lander *)of)->landing);
 }
 
 const ph_event_refusal *ph_lander_refusal(const void *of) {
