@@ -165,7 +165,7 @@ class ShortCircuitFits:
 
         from scipy.optimize import least_squares
 
-        from phfmu.derivatives.between import Between
+        from phfmu.derivatives.between import LinearInterpolation
         from phfmu.derivatives.derived import DerivedSteps
         from phfmu.outcome.status import StepFailure
         from phfmu.runs.loop import run
@@ -182,7 +182,7 @@ class ShortCircuitFits:
                 result = run(stepper, options)
             except (StepFailure, FloatingPointError):
                 return np.full(data.values.size, np.nan)
-            at = Between(result.time, data.time, "measurements")
+            at = LinearInterpolation(result.time, data.time, "measurements")
             rows = np.column_stack([at.of(result.column(m)) for m in MEASURED])
             return ((rows - data.values) / size).ravel()
 
