@@ -145,6 +145,8 @@ class _Node:
 
 
 class _NetworkBuilder:
+    """The network of a grid under construction: its nodes, members, rows of the account and specifications."""
+
     def __init__(
         self,
         grid: Grid,

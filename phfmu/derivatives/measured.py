@@ -22,7 +22,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from phfmu.derivatives.between import LinearInterpolation
+from phfmu.derivatives.interpolation import LinearInterpolation
 from phfmu.sweeps.measures import NUMBERS, mean, measures
 
 Array = NDArray[np.float64]

@@ -52,6 +52,8 @@ def steady_steps(point: NetworkPoint, scheme: Scheme, step: float) -> NetworkPoi
 
 
 class _SteadyIteration:
+    """Newton's iteration for the steady state of steps of a scheme, from an operating point."""
+
     def __init__(self, point: NetworkPoint, model: Model, step: float):
         self.point, self.model, self.h = point, model, step
         d, plan = model.declaration, model.step

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.derivatives.backwards.legs import CompiledCall, Leg, Occurrence, TapeSegment
+from phfmu.derivatives.backwards.reverse_sweep import ReverseSweep
 from phfmu.derivatives.backwards.run_bars import RunBars
-from phfmu.derivatives.backwards.way_back import ReverseSweep
 from phfmu.derivatives.by import start_tangents_by
 from phfmu.derivatives.derived import ROOM, DerivedSteps, LandedSteps, span
 from phfmu.derivatives.event_maps import EventInstant

@@ -71,6 +71,8 @@ def secants(expr: ca.SX, x: ca.SX, start: ca.SX, step: ca.SX) -> SecantExpressio
 
 @dataclass
 class _SecantRules:
+    """Rules by which the operations of a function are written with secants over a step."""
+
     x: ca.SX
     start: ca.SX
     step: ca.SX

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from phfmu.components.mechanical.multibody.body import RigidBody
+from phfmu.components.mechanical.multibody.body import MechanismBody
 from phfmu.components.mechanical.multibody.gear import Gear
 from phfmu.components.mechanical.multibody.joint import SIZES, KinematicJoint, coordinates, directions, finite, motion
 
@@ -22,7 +22,7 @@ class Assembly:
 
     def __init__(
         self,
-        bodies: Sequence[RigidBody],
+        bodies: Sequence[MechanismBody],
         joints: Sequence[KinematicJoint],
         given: Mapping[str, Any],
         gears: Sequence[Gear] = (),
@@ -114,7 +114,10 @@ def require_closed(joints: Sequence[KinematicJoint], how: str = "") -> None:
 
 
 def project(
-    bodies: Sequence[RigidBody], joints: Sequence[KinematicJoint], speeds: Mapping[str, Any], gears: Sequence[Gear] = ()
+    bodies: Sequence[MechanismBody],
+    joints: Sequence[KinematicJoint],
+    speeds: Mapping[str, Any],
+    gears: Sequence[Gear] = (),
 ) -> None:
     """Change velocities by the least in the mass metric so that joints and gears allow them and joints have the given rates."""
     place = {id(b): 6 * i for i, b in enumerate(bodies)}
@@ -171,7 +174,7 @@ def unallowed(joints: Sequence[KinematicJoint], gears: Sequence[Gear] = ()) -> t
 
 
 def _spanned(
-    bodies: Sequence[RigidBody], joints: Sequence[KinematicJoint], given: Mapping[str, Any]
+    bodies: Sequence[MechanismBody], joints: Sequence[KinematicJoint], given: Mapping[str, Any]
 ) -> tuple[list[tuple[KinematicJoint, bool]], list[KinematicJoint]]:
     """Joints of a spanning tree from its roots on, with whether b is placed by a, and the others.
 
@@ -199,16 +202,16 @@ def _spanned(
     return tree, [j for j in joints if j not in chosen]
 
 
-def _velocity(body: RigidBody | None, at: np.ndarray) -> np.ndarray:
+def _velocity(body: MechanismBody | None, at: np.ndarray) -> np.ndarray:
     """Velocity of the point of a body that is now at a point of the world."""
     return np.zeros(3) if body is None else body.velocity + np.cross(body.angular_velocity, at - body.centre)
 
 
-def _turning(body: RigidBody | None) -> np.ndarray:
+def _turning(body: MechanismBody | None) -> np.ndarray:
     return np.zeros(3) if body is None else body.angular_velocity
 
 
-def _set_velocity(body: RigidBody, at: np.ndarray, velocity: np.ndarray, turning: np.ndarray) -> None:
+def _set_velocity(body: MechanismBody, at: np.ndarray, velocity: np.ndarray, turning: np.ndarray) -> None:
     body.angular_velocity = turning
     body.velocity = velocity + np.cross(turning, body.centre - at)
 

@@ -20,7 +20,7 @@ Vector = Any  # numbers of a point or direction
 
 
 @dataclass(eq=False)
-class RigidBody:
+class MechanismBody:
     """A rigid body; made by `Mechanism.body`, `rod` or `point_mass`.
 
     mass [kg];  com [m]: centre of mass in the frame of the body
@@ -126,8 +126,8 @@ class Spring:
     """A spring [N/m] with a damper [N.s/m] along it, between points (body or the ground, place in its frame [m])."""
 
     name: str
-    a: tuple[RigidBody | None, np.ndarray]
-    b: tuple[RigidBody | None, np.ndarray]
+    a: tuple[MechanismBody | None, np.ndarray]
+    b: tuple[MechanismBody | None, np.ndarray]
     stiffness: float
     length: float
     damping: float

@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 import numpy as np
 
-from phfmu.components.mechanical.multibody.body import RigidBody
+from phfmu.components.mechanical.multibody.body import MechanismBody
 from phfmu.components.mechanical.multibody.builder import Multibody
 from phfmu.components.mechanical.multibody.joint import Side
 from phfmu.components.mechanical.multibody.parts import LinearCombination, Particle
@@ -50,8 +50,8 @@ class Bushing:
     """
 
     name: str
-    a: RigidBody | None
-    b: RigidBody | None
+    a: MechanismBody | None
+    b: MechanismBody | None
     at_a: np.ndarray
     at_b: np.ndarray
     frame_a: np.ndarray

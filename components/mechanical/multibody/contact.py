@@ -8,7 +8,7 @@ from typing import Any, Protocol
 import casadi as ca
 import numpy as np
 
-from phfmu.components.mechanical.multibody.body import RigidBody
+from phfmu.components.mechanical.multibody.body import MechanismBody
 from phfmu.components.mechanical.multibody.builder import Multibody
 from phfmu.components.mechanical.multibody.parts import LinearCombination, Particle
 
@@ -113,8 +113,8 @@ class ContactPair:
     """
 
     name: str
-    a: RigidBody | None
-    b: RigidBody | None
+    a: MechanismBody | None
+    b: MechanismBody | None
     at_a: np.ndarray
     at_b: np.ndarray
     normal: np.ndarray | None
@@ -178,8 +178,8 @@ class MechanismParticles(Protocol):
     observe: bool
     particles: dict[int, list[Particle]]
 
-    def point(self, body: RigidBody | None, place: Any) -> LinearCombination: ...
-    def direction(self, body: RigidBody | None, along: Any) -> LinearCombination: ...
+    def point(self, body: MechanismBody | None, place: Any) -> LinearCombination: ...
+    def direction(self, body: MechanismBody | None, along: Any) -> LinearCombination: ...
 
 
 def add_contact(equations: MechanismParticles, pair: ContactPair) -> None:

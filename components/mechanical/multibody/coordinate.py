@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 
 from phfmu import ROTATIONAL, TRANSLATIONAL
-from phfmu.components.mechanical.multibody.body import RigidBody
+from phfmu.components.mechanical.multibody.body import MechanismBody
 from phfmu.components.mechanical.multibody.contact import MechanismParticles
 from phfmu.components.mechanical.multibody.joint import Coordinate, KinematicJoint, Side, coordinates, rate
 
@@ -39,7 +39,7 @@ class JointCoordinate:
         self.mechanism, self.joint, self.sides, self.coordinate = mechanism, joint, sides, coordinate
         self.unit, self.angular = coordinate.unit, coordinate.unit == "rad"
         self._number = number
-        bodies: list[RigidBody] = [body for body in (joint.a, joint.b) if body is not None]
+        bodies: list[MechanismBody] = [body for body in (joint.a, joint.b) if body is not None]
         #: what its rate is made of
         self.points = [p for body in bodies for p in mechanism.particles[id(body)]]
         self._directions = all(body.directors == 3 for body in bodies)

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from phfmu import PHDAE, Variable
-from phfmu.components.mechanical.multibody.body import RigidBody, Spring
+from phfmu.components.mechanical.multibody.body import MechanismBody, Spring
 from phfmu.components.mechanical.multibody.builder import Multibody
 from phfmu.components.mechanical.multibody.bushing import Bushing, BushingEquations
 from phfmu.components.mechanical.multibody.contact import ContactPair, add_contact
@@ -36,7 +36,7 @@ class ObservedQuantity:
     """A point of a body [m, in its frame], or the coordinate of a joint, under a name of its own."""
 
     name: str
-    of: RigidBody | KinematicJoint
+    of: MechanismBody | KinematicJoint
     place: np.ndarray
     description: str
 
@@ -52,7 +52,7 @@ class MechanismParts:
     planar: bool
     gravity: np.ndarray
     description: str
-    bodies: list[RigidBody] = field(default_factory=list)
+    bodies: list[MechanismBody] = field(default_factory=list)
     joints: list[KinematicJoint] = field(default_factory=list)
     springs: list[Spring] = field(default_factory=list)
     bushings: list[Bushing] = field(default_factory=list)
@@ -107,7 +107,7 @@ class MechanismEquations:
 
     # -- bodies -----------------------------------------------------------------------------------------------------
 
-    def _body(self, body: RigidBody) -> None:
+    def _body(self, body: MechanismBody) -> None:
         n, kept = self.dim, min(body.directors, 1) if self.given.planar else body.directors
         unit, spin = body.rotation @ body.axes, body.angular_velocity
         particles = [
@@ -135,13 +135,13 @@ class MechanismEquations:
         if self.observe:
             self._observe_body(body)
 
-    def point(self, body: RigidBody | None, place: Any) -> LinearCombination:
+    def point(self, body: MechanismBody | None, place: Any) -> LinearCombination:
         """A point of a body, or of the ground: `place` [m] from the centre of mass along the principal axes."""
         if body is None:
             return LinearCombination((), place)
         return LinearCombination(((self.particles[id(body)][0], 1.0), *self.direction(body, place).terms))
 
-    def direction(self, body: RigidBody | None, along: Any) -> LinearCombination:
+    def direction(self, body: MechanismBody | None, along: Any) -> LinearCombination:
         """A direction of a body, by its principal axes, or of the ground."""
         if body is None:
             return LinearCombination((), along)
@@ -153,7 +153,7 @@ class MechanismEquations:
             return LinearCombination(((directors[0], turned),))
         return LinearCombination(tuple((d, along[i] / self.rho[id(body)]) for i, d in enumerate(directors)))
 
-    def _solid(self, body: RigidBody) -> None:
+    def _solid(self, body: MechanismBody) -> None:
         """The box (rod, ball) with the mass and the moments of inertia of a body, along its principal axes, for pictures.
 
         e_i = m a_i^2/12    for an edge a_i and the Euler moment e_i
@@ -171,12 +171,12 @@ class MechanismEquations:
         axes = directors if len(directors) == 3 else [directors[0], self.direction(body, [0.0, 1.0])]
         self.made.solid("box", centre, size=size, axes=axes, label=body.name)
 
-    def _along(self, body: RigidBody, distance: float) -> LinearCombination:
+    def _along(self, body: MechanismBody, distance: float) -> LinearCombination:
         """The point at a distance from the centre of a rod [m]."""
         towards = self.direction(body, [distance, 0.0, 0.0])
         return LinearCombination(((self.particles[id(body)][0], 1.0), *towards.terms))
 
-    def _observe_body(self, body: RigidBody) -> None:
+    def _observe_body(self, body: MechanismBody) -> None:
         name, m = body.name, self.made
         centre, directors = self.particles[id(body)][0], self.particles[id(body)][1:]
         m.observable(f"{name}.position", "m", lambda d: d.at(centre), f"centre of mass of {name}")
@@ -210,7 +210,7 @@ class MechanismEquations:
                 f"angular velocity of {name} in the axes of the world",
             )
 
-    def _energy(self, body: RigidBody, d: Declaration) -> ca.SX:
+    def _energy(self, body: MechanismBody, d: Declaration) -> ca.SX:
         particles = self.particles[id(body)]
         kinetic = sum(
             (0.5 * d.m.sx[p.number] * ca.sumsqr(d.speed(p)) for p in particles),
@@ -331,7 +331,7 @@ class JointSide:
 
     def __init__(self, equations: MechanismEquations, joint: KinematicJoint | Bushing, side: str):
         self.equations, self.joint, self.side = equations, joint, side
-        self.body: RigidBody | None = getattr(joint, side)
+        self.body: MechanismBody | None = getattr(joint, side)
         self.points: dict[str, LinearCombination] = {}
         self.symbols = SymbolicSide(*(ca.SX.sym(f"{which}_{side}", equations.dim) for which in "pxyz"))
 

@@ -14,7 +14,7 @@ from typing import Literal, NamedTuple, Protocol
 import casadi as ca
 import numpy as np
 
-from phfmu.components.mechanical.multibody.body import RigidBody, rotation_about
+from phfmu.components.mechanical.multibody.body import MechanismBody, rotation_about
 from phfmu.components.mechanical.multibody.contact import Limits
 
 Rows = Callable[["Side", "Side", ca.SX], tuple[list[ca.SX], list[ca.SX]]]
@@ -134,8 +134,8 @@ class KinematicJoint:
 
     kind: str
     name: str
-    a: RigidBody | None
-    b: RigidBody | None
+    a: MechanismBody | None
+    b: MechanismBody | None
     at_a: np.ndarray
     at_b: np.ndarray
     frame_a: np.ndarray
@@ -161,7 +161,7 @@ class KinematicJoint:
         """Its bodies, in words."""
         return " and ".join("the ground" if body is None else f"'{body.name}'" for body in (self.a, self.b))
 
-    def world(self, body: RigidBody | None, at: np.ndarray, frame: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def world(self, body: MechanismBody | None, at: np.ndarray, frame: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Point and axes at the start, in the world."""
         return (at, frame) if body is None else (body.at(at), body.rotation @ frame)
 

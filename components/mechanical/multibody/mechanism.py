@@ -16,7 +16,7 @@ import numpy as np
 
 from phfmu import PHDAE
 from phfmu.components.mechanical.multibody.assembly import Assembly, require_closed, unallowed
-from phfmu.components.mechanical.multibody.body import RigidBody, Spring, frame_along, rotation_about, tensor
+from phfmu.components.mechanical.multibody.body import MechanismBody, Spring, frame_along, rotation_about, tensor
 from phfmu.components.mechanical.multibody.bushing import Bushing
 from phfmu.components.mechanical.multibody.contact import Compliance, ContactPair, Limits
 from phfmu.components.mechanical.multibody.equations import MechanismEquations, MechanismParts, ObservedQuantity
@@ -60,7 +60,7 @@ class Mechanism:
         return self.parts.planar
 
     @property
-    def bodies(self) -> list[RigidBody]:
+    def bodies(self) -> list[MechanismBody]:
         return self.parts.bodies
 
     @property
@@ -82,7 +82,7 @@ class Mechanism:
         rotation: Any = None,
         velocity: Sequence[float] | None = None,
         angular_velocity: Any = None,
-    ) -> RigidBody:
+    ) -> MechanismBody:
         """A rigid body.
 
         mass [kg];  com [m]: centre of mass in the frame of the body (default: its origin)
@@ -106,7 +106,7 @@ class Mechanism:
             own = tensor(name, inertia, mass, offset, np.eye(3) if axes is None else axes)
         return self._add(name, mass, centre, own, 3, position, rotation, velocity, angular_velocity)
 
-    def rod(self, name: str, mass: float, length: float, **start: Any) -> RigidBody:
+    def rod(self, name: str, mass: float, length: float, **start: Any) -> MechanismBody:
         """A uniform thin rod along the x axis of its frame, from -length/2 to length/2 [m].
 
         In space it has no moment about its axis and no direction across it: joints hold points on it.  `start`: as for `body`.
@@ -123,7 +123,7 @@ class Mechanism:
 
     def point_mass(
         self, name: str, mass: float, position: Sequence[float] | None = None, velocity: Sequence[float] | None = None
-    ) -> RigidBody:
+    ) -> MechanismBody:
         """A point mass [kg] at a position [m], with a velocity [m/s]."""
         return self._add(name, mass, np.zeros(3), np.zeros((3, 3)), 0, position, None, velocity, None)
 
@@ -133,8 +133,8 @@ class Mechanism:
         self,
         kind: str,
         name: str,
-        a: RigidBody | None,
-        b: RigidBody | None,
+        a: MechanismBody | None,
+        b: MechanismBody | None,
         *,
         at: Sequence[float] | None = None,
         at_a: Sequence[float] | None = None,
@@ -216,8 +216,8 @@ class Mechanism:
     def spring(
         self,
         name: str,
-        a: tuple[RigidBody | None, Sequence[float]],
-        b: tuple[RigidBody | None, Sequence[float]],
+        a: tuple[MechanismBody | None, Sequence[float]],
+        b: tuple[MechanismBody | None, Sequence[float]],
         stiffness: float,
         length: float,
         damping: float = 0.0,
@@ -232,8 +232,8 @@ class Mechanism:
     def bushing(
         self,
         name: str,
-        a: RigidBody | None,
-        b: RigidBody | None,
+        a: MechanismBody | None,
+        b: MechanismBody | None,
         *,
         stiffness: Sequence[float],
         damping: Sequence[float] = (),
@@ -278,8 +278,8 @@ class Mechanism:
     def contact(
         self,
         name: str,
-        a: RigidBody | None,
-        b: RigidBody,
+        a: MechanismBody | None,
+        b: MechanismBody,
         *,
         at_a: Sequence[float] | None = None,
         at_b: Sequence[float] | None = None,
@@ -310,8 +310,8 @@ class Mechanism:
     def box_contact(
         self,
         name: str,
-        a: RigidBody | None,
-        b: RigidBody,
+        a: MechanismBody | None,
+        b: MechanismBody,
         size: Sequence[float],
         *,
         at_a: Sequence[float] | None = None,
@@ -342,7 +342,7 @@ class Mechanism:
         ]
 
     def observe(
-        self, name: str, of: RigidBody | KinematicJoint, place: Sequence[float] | None = None, description: str = ""
+        self, name: str, of: MechanismBody | KinematicJoint, place: Sequence[float] | None = None, description: str = ""
     ) -> None:
         """An observable of its own: a point of a body at a place in its frame [m], or the coordinate of a joint."""
         if isinstance(of, KinematicJoint) and len(of.equations.coordinates) != 1:
@@ -436,7 +436,7 @@ class Mechanism:
     def _add(
         self, name: str, mass: float, com: np.ndarray, own: np.ndarray, directors: int, position: Any, rotation: Any,
         velocity: Any, angular_velocity: Any,
-    ) -> RigidBody:  # fmt: skip
+    ) -> MechanismBody:  # fmt: skip
         if any(b.name == name for b in self.bodies):
             raise ValueError(f"{self.name}: there are two bodies called '{name}'")
         turn = np.eye(3)
@@ -453,11 +453,11 @@ class Mechanism:
         place, speed = (
             self._point(f"{what} of body '{name}'", x) for what, x in (("position", position), ("velocity", velocity))
         )
-        self.bodies.append(RigidBody(name, float(mass), com, own, place, turn, speed, spin, directors, self.planar))
+        self.bodies.append(MechanismBody(name, float(mass), com, own, place, turn, speed, spin, directors, self.planar))
         return self.bodies[-1]
 
     def _placed(
-        self, name: str, a: RigidBody | None, b: RigidBody | None, at: Any, at_a: Any, at_b: Any, axis: Any, axis_b: Any,
+        self, name: str, a: MechanismBody | None, b: MechanismBody | None, at: Any, at_a: Any, at_b: Any, axis: Any, axis_b: Any,
         x_axis: Any,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
         """Places and axes in the frames of both bodies."""

@@ -47,7 +47,7 @@ class _PolynomialValue:
 
 
 class _InvariantSearch:
-    """Through the operations of a function: everything that is not quadratic in x depends on one quadratic value C."""
+    """Search for C through the operations of a function: all that is not quadratic in x depends on one quadratic C."""
 
     def __init__(self, x: ca.SX):
         self.x, self.s = x, ca.SX.sym("s")

@@ -19,10 +19,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.derivatives.between import LinearInterpolation
 from phfmu.derivatives.by import require_known
 from phfmu.derivatives.fits.fit_journal import Journal, JournalEntry, digest
 from phfmu.derivatives.gradient import forward_of
+from phfmu.derivatives.interpolation import LinearInterpolation
 from phfmu.derivatives.measured import TIME
 from phfmu.discretise.model import Model
 from phfmu.fmu.export.variables import FMUError

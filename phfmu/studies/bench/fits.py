@@ -165,8 +165,8 @@ class ShortCircuitFits:
 
         from scipy.optimize import least_squares
 
-        from phfmu.derivatives.between import LinearInterpolation
         from phfmu.derivatives.derived import DerivedSteps
+        from phfmu.derivatives.interpolation import LinearInterpolation
         from phfmu.outcome.status import StepFailure
         from phfmu.runs.loop import run
 

@@ -1,4 +1,4 @@
-"""Values at times between the rows of a run: on the line between two rows, and the derivatives of that."""
+"""Linear interpolation between the rows of a run, with its derivatives."""
 
 from __future__ import annotations
 

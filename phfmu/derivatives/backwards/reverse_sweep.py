@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 
 
 class ReverseSweep:
-    """The way back over the legs of a run, from the mode that it ended in.
+    """Reverse sweep over the legs of a run, from the mode that it ended in.
 
     `tau`: bars of the instant where the next leg begins
     again: makes a call of the run once more, with values at the ends of steps if they are wanted
@@ -52,7 +52,7 @@ class ReverseSweep:
         self._free = total
 
     def _of(self, mode: Mode | None, guard: bool = False, damped: Any = None) -> NativeReverse:
-        """The way back over steps in a mode, or of a companion, of the measures or of a guard."""
+        """Reverse sweep over steps in a mode, or of a companion, of the measures or of a guard."""
         key = mode, guard, id(damped)
         if key not in self._backs:
             instance = self._run.instance if mode is None else self._run.instance.of(mode)[0]
