@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Callable
 from typing import Any
 
-from phfmu.cli.progress import Line
+from phfmu.cli.progress import StatusLine
 
 
 def add_parser(verbs: Any) -> None:
@@ -92,7 +92,7 @@ def _scaling(args: argparse.Namespace) -> int:
     sizes = _numbers("--sizes", args.sizes)
     if any(n != int(n) for n in sizes):
         raise ValueError(f"--sizes {args.sizes}: expected whole numbers with commas between, e.g. 10,100,1000")
-    with Line() as progress:
+    with StatusLine() as progress:
         lines = report(_names(args.families), [int(n) for n in sizes], Path(args.output), progress)
     print("\n".join(lines))
     return FINE
@@ -142,10 +142,10 @@ def _blame(args: argparse.Namespace) -> int:
             f"--seeds {args.seeds} --cases {args.cases}: expected positive whole numbers, e.g. --seeds 1,2 --cases 200"
         )
 
-    def found(progress: Line) -> list[CampaignResult]:
+    def found(progress: StatusLine) -> list[CampaignResult]:
         return [measure(int(s), args.cases, progress) for s in seeds]
 
-    def tables(progress: Line) -> str:
+    def tables(progress: StatusLine) -> str:
         return "\n\n".join(f"{summary(f)}\n\n{table(f)}" for f in found(progress))
 
     return _paged(args, lambda progress: page(found(progress)), tables)
@@ -157,7 +157,7 @@ def _paged(args: argparse.Namespace, page: Callable[..., str], table: Callable[.
 
     from phfmu.cli.codes import FINE
 
-    with Line() as progress:
+    with StatusLine() as progress:
         text = page(progress) if args.output else table(progress=progress)
     if args.output:
         Path(args.output).write_text(text, encoding="utf-8")
@@ -172,7 +172,7 @@ def _orders(args: argparse.Namespace) -> int:
     from phfmu.cli.codes import FINE
     from phfmu.studies.bench.orders import measure, table
 
-    with Line() as progress:
+    with StatusLine() as progress:
         text = table(measure(_names(args.families), progress))
     if args.output:
         Path(args.output).write_text(text + "\n", encoding="utf-8")
@@ -206,7 +206,7 @@ def _compare(args: argparse.Namespace) -> int:
     problem = problem_of(replace(found, system=declared), times=times, stop=args.stop, judged=states)
     if args.reference:
         problem.read_reference(args.reference)
-    with Line() as progress:
+    with StatusLine() as progress:
         found = compare(problem, choice, progress)
     print("\n".join(write(found, Path(args.output))))
     return FINE

@@ -208,7 +208,7 @@ def export_apart(args: argparse.Namespace, s: Scene) -> int:
 
 
 def _require_coupling(args: argparse.Namespace) -> None:
-    """ValueError for a coupling of a unit that has no members to couple."""
+    """Raise ValueError for a coupling of a unit that has no members to couple."""
     for option, asked in {"--coupling": args.coupling, "--sequence": args.sequence}.items():
         if asked and not args.as_unit:
             raise ValueError(f"{option} {asked} joins members that stay apart in the unit; say --as-unit too")
@@ -301,7 +301,7 @@ def export_package(args: argparse.Namespace, s: Scene) -> int:
 
 
 def _refuse_others(args: argparse.Namespace) -> None:
-    """ValueError for options that are about a single unit."""
+    """Raise ValueError for options that are about a single unit."""
     chosen = {"--node-inputs": args.node_inputs, "--impulses": args.impulses, "--arrays": args.arrays,
               "--no-terminals": args.no_terminals, "--outputs local": args.outputs != "ledger",
               "--tunable": args.tunable, "--events inside": args.events != "outside",

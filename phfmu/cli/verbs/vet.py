@@ -24,7 +24,7 @@ def add_parser(verbs: Any) -> None:
 
 def call(args: argparse.Namespace) -> int:
     from phfmu.cli.codes import FINE, PROBLEMS
-    from phfmu.cli.progress import Line
+    from phfmu.cli.progress import StatusLine
     from phfmu.vet.claims.claims import chosen
     from phfmu.vet.page import lines
     from phfmu.vet.process import vet
@@ -35,7 +35,7 @@ def call(args: argparse.Namespace) -> int:
     _require_folders(args.json, args.html)
     found: list[VettingResult] = []
     for path in args.units:
-        with Line() as line:
+        with StatusLine() as line:
             found.append(vet(path, args.seconds, claims, lambda claim, path=path: line(f"{path}: {claim}")))
         print("\n".join(lines(found[-1])))
     _write(args, found)
