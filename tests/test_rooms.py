@@ -181,6 +181,16 @@ def test_a_circle_of_c_calls_is_seen() -> None:
     assert circles(calls(texts)) == set()
 
 
+def test_a_public_class_name_means_one_class() -> None:
+    """A reader who looks for a class by its name finds one."""
+    places: dict[str, list[str]] = {}
+    for path in walked():
+        for node in nodes(path):
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                places.setdefault(node.name, []).append(module(path))
+    assert {name: files for name, files in places.items() if len(files) > 1} == {}
+
+
 def test_components_are_written_against_public_names() -> None:
     found = {other for name, others in imports().items() if name.startswith("components") for other in others}
     assert {n for n in found if n and not n.startswith("components")} <= {

@@ -17,7 +17,7 @@ from phfmu.derivatives.tangents import in_parts, require_derived
 from phfmu.discretise.model import Model
 from phfmu.discretise.start import Projection
 from phfmu.engine.native.reverse import NativeTapes
-from phfmu.engine.record import Grid
+from phfmu.engine.record import StepGrid
 from phfmu.events.modes import Mode, Modes
 from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.network.couplings.stepper import Landing
@@ -257,7 +257,7 @@ class DerivedSteps(Monolithic):
 
     # -- steps with state events -------------------------------------------------------------------------------------
 
-    def landed(self, instance: Any, grid: Grid, changed: bool) -> Iterator[Landing]:
+    def landed(self, instance: Any, grid: StepGrid, changed: bool) -> Iterator[Landing]:
         self._require_constant(())
         self.require_continued(grid.start(0))
         self._grid = grid, changed

@@ -24,7 +24,7 @@ from phfmu.derivatives.tangents import OF_INSTANT
 from phfmu.discretise.model import Model
 from phfmu.engine.native.native import NativeInstance
 from phfmu.engine.native.reverse import NativeReverse, NativeTape, NativeTapes
-from phfmu.engine.record import Grid
+from phfmu.engine.record import StepGrid
 from phfmu.network.couplings.stepper import Landing
 from phfmu.outcome.steps import Landed, StepEvent, Steps
 from phfmu.signals import quantities
@@ -73,7 +73,7 @@ class TapedSteps(DerivedSteps):
     def ran(self, instance: Any, t0: float, h: float, n: int, first: int, inputs: Array | None) -> Steps:
         self.require_continued(t0 + first * h)
         given = None if inputs is None else np.ascontiguousarray(inputs, float)
-        call = self._called(CompiledCall(instance.get_state(), Grid(t0, h, n, first), given, None))
+        call = self._called(CompiledCall(instance.get_state(), StepGrid(t0, h, n, first), given, None))
         starts = np.asarray(t0 + h * (first + np.arange(n)), np.float64)
         leg = self._leg(call, starts, np.full(n, h), self._inputs.u.copy(), instance.parameters.copy())
         leg.damped = None if instance is self.instance else instance

@@ -19,7 +19,7 @@ from phfmu.plan.spec import Spec
 from phfmu.plan.unknown import ALGEBRAIC, COSTATE, INCREMENT, of_algebraics, of_states
 from phfmu.schemes.scheme import node_holds
 from phfmu.terms.hidden import Check, HiddenConstraints, Level, variable_at
-from phfmu.terms.located import Row, ValueAt
+from phfmu.terms.located import ResidualRow, ValueAt
 from phfmu.terms.term import (
     CONSTRAINT,
     Terms,
@@ -70,7 +70,7 @@ def _constants(layout: Layout, hidden: HiddenConstraints) -> list[tuple[int, int
         out += [(w, w, 1.0, 0) for w in (layout.at(INCREMENT, i) for i in range(terms.n1) if i not in other)]
     out += [(layout.at(COSTATE, i), layout.nv + layout.slot(i, 0), -1.0, 0) for i in terms.solved_costates()]
     for c in terms.constants:
-        if c.row.kind is Row.BALANCE and not hidden.rows:
+        if c.row.kind is ResidualRow.BALANCE and not hidden.rows:
             continue
         source, r = layout.value(c.source), c.row.index
         if hidden.differentiates(c.row):
@@ -82,7 +82,7 @@ def _constants(layout: Layout, hidden: HiddenConstraints) -> list[tuple[int, int
             if rate is not None:
                 out.append((layout.row(c.row), rate, -c.value, 0))
         else:
-            out.append((layout.row(c.row), source, c.value if c.row.kind is Row.OUTPUT else -c.value, 0))
+            out.append((layout.row(c.row), source, c.value if c.row.kind is ResidualRow.OUTPUT else -c.value, 0))
     return out
 
 

@@ -16,7 +16,7 @@ from phfmu.plan.spec import Arguments, Result, Spec
 from phfmu.plan.unknown import Role
 from phfmu.schemes.constraints.velocities import force, velocity_costate, velocity_increment
 from phfmu.terms.hidden import HiddenConstraints, rates
-from phfmu.terms.located import Row
+from phfmu.terms.located import ResidualRow
 from phfmu.terms.term import CLOSED, CONSTRAINT, EMPTY, ENERGY, FLOW, JOINT, MASS, MASS_BLOCK, OBSERVABLE, SOURCE, Term
 from phfmu.terms.velocities import velocity_of
 
@@ -147,9 +147,9 @@ class InstantKernels:
         f, drift = ca.substitute([f, drift], [local[k] for k in made], list(made.values()))
         out: list[Result] = []
         for j, r in enumerate(term.rows):
-            if r.kind is Row.BALANCE and not self.rate:
+            if r.kind is ResidualRow.BALANCE and not self.rate:
                 continue
-            value = f[j] if r.kind is Row.OUTPUT else -(drift[j] if j in chosen else f[j])
+            value = f[j] if r.kind is ResidualRow.OUTPUT else -(drift[j] if j in chosen else f[j])
             out.append((Address(row, j), 0, value))
             if j in chosen and r.index in self.hidden.solved_by:
                 out.append((Address(self._original, j), 0, -f[j]))

@@ -21,7 +21,7 @@ from phfmu.outcome.limits import LIMITS
 Array = NDArray[Any]
 
 
-class JumpColumns:
+class JumpFunction:
     """The columns of all jumps and constraints of a model, from its states, time and parameters."""
 
     def __init__(self, plan: EventPlan):

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from phfmu.engine.model import EngineModel, require_built, require_one_mode
-from phfmu.engine.record import Grid, recordable
+from phfmu.engine.record import StepGrid, recordable
 from phfmu.outcome.steps import EventRecord, Landed
 
 if TYPE_CHECKING:
@@ -253,25 +253,25 @@ class Instance(Signals):
         given, plan = None, self.model.step
         if inputs is not None:
             given = self._array(inputs, n, *((plan.k, plan.nu) if np.ndim(inputs) == 3 else (plan.nu,)))
-        return self._run(Grid(t0, h, n, first, parts), names, given)
+        return self._run(StepGrid(t0, h, n, first, parts), names, given)
 
     @abstractmethod
-    def _run(self, grid: Grid, names: tuple[str, ...], inputs: Array | None) -> dict[str, Array]: ...
+    def _run(self, grid: StepGrid, names: tuple[str, ...], inputs: Array | None) -> dict[str, Array]: ...
 
     def land(
         self, t0: float, h: float, n: int, record: Iterable[str] = (), first: int = 0, changed: bool = True, *,
         pause: bool = False,
     ) -> Iterator[Landed]:  # fmt: skip
-        """Grid steps k = first..first+n-1 from t0 + k h, which end on the zeros of guards too, where state events happen.
+        """StepGrid steps k = first..first+n-1 from t0 + k h, which end on the zeros of guards too, where state events happen.
 
         `record` as for `run`, a row for each step taken;  `changed`: parameters or states were set since the last step;
         `pause`: end after the first event and those that follow it at the same time.  Refusal of the Python engine;
         StepFailure after what was accepted before: EventRefused for an event that cannot happen.
         """
-        return self._land(Grid(t0, h, n, first, pause=pause), recordable(self.model.name, record), changed)
+        return self._land(StepGrid(t0, h, n, first, pause=pause), recordable(self.model.name, record), changed)
 
     @abstractmethod
-    def _land(self, grid: Grid, names: tuple[str, ...], changed: bool) -> Iterator[Landed]: ...
+    def _land(self, grid: StepGrid, names: tuple[str, ...], changed: bool) -> Iterator[Landed]: ...
 
     def expect(self, steps: float) -> None:
         """So many steps will be taken that are not told one by one: a reason to get ready for them, or none."""

@@ -39,7 +39,7 @@ PRESENT = {"signals", "energy"}
 
 
 @dataclass(frozen=True)
-class Grid:
+class StepGrid:
     """Steps k = first..first+n-1 from t0 + k h, each in `parts` equal internal steps.
 
     `pause`: landing ends after the first event, and those that follow it at the same time
@@ -77,7 +77,7 @@ def recorded(instance: Any, before: Mapping[str, int], names: Iterable[str]) -> 
 
 
 def step_by_step(
-    instance: Any, grid: Grid, names: tuple[str, ...], inputs: Array | None
+    instance: Any, grid: StepGrid, names: tuple[str, ...], inputs: Array | None
 ) -> tuple[dict[str, Array], tuple[EventRecord, ...]]:
     """`run` of an instance by its `do_step`, and what happened; StepFailure has the rows before it.
 

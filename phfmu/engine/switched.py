@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from phfmu.discretise.model import Model
 from phfmu.engine.instance import Signals
 from phfmu.engine.model import require_no_landing
-from phfmu.engine.record import Grid, recordable
+from phfmu.engine.record import StepGrid, recordable
 from phfmu.engine.reference.python import PythonInstance
 from phfmu.events.modes import Mode
 from phfmu.outcome.limits import is_sliver
@@ -131,8 +131,8 @@ class SwitchedInstance(Signals):
         self, t0: float, h: float, n: int, record: Iterable[str] = (), first: int = 0, changed: bool = True, *,
         pause: bool = False,
     ) -> Iterator[Landed]:  # fmt: skip
-        """Grid steps that end on the zeros of guards too, where modes change; see `Instance.land`."""
-        grid, names = Grid(t0, h, n, first, pause=pause), recordable(self.model.name, record)
+        """StepGrid steps that end on the zeros of guards too, where modes change; see `Instance.land`."""
+        grid, names = StepGrid(t0, h, n, first, pause=pause), recordable(self.model.name, record)
         return self.native.land(grid, names, changed)
 
     def do_step(self, t: float, h: float, parts: int = 1) -> None:

@@ -23,7 +23,7 @@ from phfmu.plan.address import READ, Address, row
 from phfmu.plan.plan import Floats, Group, Ints, Kernel, Powers
 from phfmu.plan.spec import Spec, build
 from phfmu.terms.canonical import Locator, make_term, member
-from phfmu.terms.located import Row, RowAt, ValueAt
+from phfmu.terms.located import ResidualRow, RowAt, ValueAt
 from phfmu.terms.rows import costate_symbols, costates, flow_expressions
 from phfmu.terms.term import CONSTRAINT, Term, TermKind, Terms
 from phfmu.terms.velocities import velocity_of
@@ -156,7 +156,7 @@ def _groups(terms: Terms, locator: Locator, rows: Mapping[int, tuple[str, ca.SX]
     """Kernels of expressions at an instant, by the number of their row; equal ones are instances of one."""
     specs, found = dict[tuple, Spec](), list[tuple[Term, Spec]]()
     for i, (label, expr) in rows.items():
-        term = make_term(GUARD, {"f": expr}, locator, label, rows=[RowAt(Row.OBSERVABLE, i)])
+        term = make_term(GUARD, {"f": expr}, locator, label, rows=[RowAt(ResidualRow.OBSERVABLE, i)])
         spec = specs.get(term.key) or specs.setdefault(term.key, _spec(term))
         found.append((term, spec))
     return [_table(terms, spec, [t for t, s in found if s is spec]) for spec in specs.values()]

@@ -22,7 +22,7 @@ from phfmu.plan.address import Address, row
 from phfmu.plan.plan import Floats, Group, Ints, Powers
 from phfmu.plan.spec import Spec, build
 from phfmu.terms.canonical import Locator, make_term
-from phfmu.terms.located import Row, RowAt
+from phfmu.terms.located import ResidualRow, RowAt
 from phfmu.terms.term import TermKind, Terms
 
 JUMP = TermKind("jump")
@@ -68,7 +68,7 @@ def jump_tables(terms: Terms, events: Sequence[StateEvent]) -> JumpTables | None
     results = ca.vertcat(ca.vec(found.c.T), ca.vec(found.L), ca.vec(found.S), found.e)
     locator = Locator(terms.model, terms.pairs)
     term = make_term(
-        JUMP, {"f": ca.densify(results)}, locator, "the jumps of state events", rows=[RowAt(Row.OBSERVABLE, 0)]
+        JUMP, {"f": ca.densify(results)}, locator, "the jumps of state events", rows=[RowAt(ResidualRow.OBSERVABLE, 0)]
     )
     if extra := sorted(k.value for k in term.index.keys() - {ValueKind.STATE, ValueKind.PARAMETER}):
         raise DeclarationError(

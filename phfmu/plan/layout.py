@@ -11,7 +11,7 @@ import numpy as np
 from phfmu.declare.variable import ValueKind
 from phfmu.plan.unknown import ALGEBRAIC, COSTATE, INCREMENT, Role, Unknown
 from phfmu.terms.condense import CondensedVariables
-from phfmu.terms.located import Row, RowAt, ValueAt
+from phfmu.terms.located import ResidualRow, RowAt, ValueAt
 from phfmu.terms.term import Terms
 
 
@@ -88,15 +88,15 @@ class Layout:
         return _ROW[row.kind](self, row.index, node)
 
     def output(self, pair: int, node: int) -> int:
-        """Row of the output of a pair."""
+        """ResidualRow of the output of a pair."""
         return self.nw + node * len(self.terms.pairs) + pair
 
     def report(self, key: Hashable) -> int:
-        """Row of the report under `key`."""
+        """ResidualRow of the report under `key`."""
         return self.nw + len(self.terms.pairs) * self.k + self._report[key]
 
     def condensed_row(self, a: int, node: int) -> int:
-        """Row of the value of a condensed variable."""
+        """ResidualRow of the value of a condensed variable."""
         return self.nw + len(self.terms.pairs) * self.k + len(self.reports) + self._condensed_place(a, node)
 
     def _condensed_place(self, a: int, node: int) -> int:
@@ -162,12 +162,12 @@ class Layout:
 
 
 #: functions (layout, index, node) -> place, by the kind of a row and of a value
-_ROW: dict[Row, Callable[[Layout, int, int], int]] = {
-    Row.BALANCE: lambda layout, i, node: layout.at(INCREMENT, i, node),
-    Row.EQUATION: lambda layout, i, node: layout.at(ALGEBRAIC, i, node),
-    Row.OUTPUT: Layout.output,
-    Row.OBSERVABLE: lambda layout, i, node: layout.report(i),
-    Row.CONDENSED: Layout.condensed_row,
+_ROW: dict[ResidualRow, Callable[[Layout, int, int], int]] = {
+    ResidualRow.BALANCE: lambda layout, i, node: layout.at(INCREMENT, i, node),
+    ResidualRow.EQUATION: lambda layout, i, node: layout.at(ALGEBRAIC, i, node),
+    ResidualRow.OUTPUT: Layout.output,
+    ResidualRow.OBSERVABLE: lambda layout, i, node: layout.report(i),
+    ResidualRow.CONDENSED: Layout.condensed_row,
 }
 _VALUE: dict[ValueKind, Callable[[Layout, int, int], int]] = {
     ValueKind.COSTATE: Layout.costate,

@@ -46,7 +46,7 @@ from phfmu.schemes import closure, minimal
 from phfmu.schemes.closure import carried
 from phfmu.schemes.nodal import NodeKernels
 from phfmu.schemes.scheme import GaussScheme, Triplet, node_constants, node_unknowns
-from phfmu.terms.located import Row, RowAt
+from phfmu.terms.located import ResidualRow, RowAt
 from phfmu.terms.term import CLOSED, MASS_BLOCK, Term, TermKind, Terms
 
 #: rows given by the user
@@ -162,7 +162,7 @@ def _constrained(terms: Terms, constraint: Constraint) -> Terms:
              ValueKind.PARAMETER: ca.vertcat(*(p.sx for p in model.parameters))}  # fmt: skip
     index = {ValueKind.STATE: tuple(range(terms.n1)), ValueKind.COSTATE: tuple(range(terms.n1)),
              ValueKind.ALGEBRAIC: tuple(range(terms.na)), ValueKind.PARAMETER: tuple(range(terms.np))}  # fmt: skip
-    costates = tuple(RowAt(Row.BALANCE, i) for i in open_costates)
+    costates = tuple(RowAt(ResidualRow.BALANCE, i) for i in open_costates)
     term = Term(GIVEN, (GIVEN, id(constraint)), local, index, {"rows": rows, "new": new, "f": f}, costates)
     return replace(terms, terms=[*terms.terms, term])
 

@@ -35,7 +35,7 @@ from phfmu.schemes import closure
 from phfmu.schemes.closure import carried
 from phfmu.schemes.constraints.velocities import force, velocity_costate, velocity_increment
 from phfmu.schemes.scheme import Triplet
-from phfmu.terms.located import Row
+from phfmu.terms.located import ResidualRow
 from phfmu.terms.term import CLOSED, EMPTY, Term, TermKind, Terms
 
 #: the point of zbar in a step
@@ -162,7 +162,7 @@ def _equation(term: Term, address: Address) -> Address | None:
     """The equation that a result contributes to; None for outputs, sources and the rows of closures."""
     if address.place is gradient:
         return replace(address, place=costate_row)
-    if address.place is row and term.rows[address.j].kind not in (Row.BALANCE, Row.EQUATION):
+    if address.place is row and term.rows[address.j].kind not in (ResidualRow.BALANCE, ResidualRow.EQUATION):
         return None
     return address if address.place in (row, costate_row, velocity_increment) else None
 

@@ -19,7 +19,7 @@ from phfmu.gradients.quadrature import Nodes
 from phfmu.plan.address import READ, Address, costate_row, gradient, increment, row, source, step_size
 from phfmu.plan.spec import Arguments, Result, Spec, substituted
 from phfmu.schemes.constraints import constraints
-from phfmu.terms.located import Row
+from phfmu.terms.located import ResidualRow
 from phfmu.terms.term import CLOSED, CONSTRAINT, EMPTY, ENERGY, FLOW, JOINT, MASS, MASS_BLOCK, SOURCE, EnergyForm, Term
 
 
@@ -129,12 +129,12 @@ class NodeKernels:
         for i in range(self.k):
             (f,) = substituted([term.data["f"]], pairs[i])
             for j, r in enumerate(term.rows):
-                value = f[j] if r.kind in (Row.OUTPUT, Row.CONDENSED) else -f[j]
-                out.append((Address(row, j, i), int(r.kind is Row.BALANCE), value))
+                value = f[j] if r.kind in (ResidualRow.OUTPUT, ResidualRow.CONDENSED) else -f[j]
+                out.append((Address(row, j, i), int(r.kind is ResidualRow.BALANCE), value))
             if "loss" in term.data:
                 (loss,) = substituted([term.data["loss"]], pairs[i])
                 lost = self.nodes.b[i] * loss + (0 if lost is None else lost)
-        report = all(r.kind is Row.CONDENSED for r in term.rows) and lost is None
+        report = all(r.kind is ResidualRow.CONDENSED for r in term.rows) and lost is None
         return [Spec(1, args.x, args.p, args.y, out, lost=lost, report=report)]
 
     def _source(self, term: Term) -> list[Spec]:

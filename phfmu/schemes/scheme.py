@@ -15,12 +15,12 @@ from phfmu.plan.spec import Spec
 from phfmu.plan.unknown import ALGEBRAIC, COSTATE, INCREMENT, Role, Unknown, of_algebraics, of_states
 from phfmu.schemes.constraints.inertia import vanishing
 from phfmu.terms.condense import CondensedVariables
-from phfmu.terms.located import Row
+from phfmu.terms.located import ResidualRow
 from phfmu.terms.rank import ConstraintsAtStart
 from phfmu.terms.term import Term, Terms
 
 #: kinds of rows that are values; the others are equations, their left sides less these
-VALUES = (Row.OUTPUT, Row.CONDENSED)
+VALUES = (ResidualRow.OUTPUT, ResidualRow.CONDENSED)
 
 #: (row, Y index, value, power of h)
 Triplet = tuple[int, int, float, int]
@@ -167,7 +167,9 @@ def node_constants(layout: Layout, costates: Iterable[int] | None = None) -> lis
             out.append((layout.at(COSTATE, i, node), layout.nv + layout.slot(i, node), -1.0, 0))
         for c in terms.constants:
             value = c.value if c.row.kind in VALUES else -c.value
-            out.append((layout.row(c.row, node), layout.value(c.source, node), value, int(c.row.kind is Row.BALANCE)))
+            out.append(
+                (layout.row(c.row, node), layout.value(c.source, node), value, int(c.row.kind is ResidualRow.BALANCE))
+            )
     return out
 
 

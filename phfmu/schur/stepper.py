@@ -30,7 +30,7 @@ from phfmu.schur import lanes
 from phfmu.schur.elimination import Elimination, FactorPattern, eliminate, factor_pattern, updates
 from phfmu.schur.lane_groups import Instances, LaneGroup, Tiles, tiled
 from phfmu.schur.lanes import Lanes, NoLanes
-from phfmu.terms.located import Constant, Row
+from phfmu.terms.located import Constant, ResidualRow
 from phfmu.terms.rank import ConstraintsAtStart
 from phfmu.terms.term import CONSTRAINT, ENERGY, FLOW, MASS, OBSERVABLE, EnergyForm, Term
 from phfmu.terms.velocities import velocity_of
@@ -161,8 +161,8 @@ class _Builder:
             _require(term.kind is OBSERVABLE)
 
     def _constant(self, c: Constant) -> None:
-        balance, row = c.row.kind is Row.BALANCE, c.row.index
-        if c.row.kind is Row.OUTPUT or balance and row in self.dof:
+        balance, row = c.row.kind is ResidualRow.BALANCE, c.row.index
+        if c.row.kind is ResidualRow.OUTPUT or balance and row in self.dof:
             return
         _require(balance and row in self.dof_v)
         dof, costate = self.dof_v[row], c.source.kind is ValueKind.COSTATE
@@ -212,11 +212,11 @@ class _Builder:
         return bool(np.max(np.abs(np.asarray(f(*values)))) <= 1e-13)
 
     def _flow(self, term: Term) -> None:
-        outputs = [j for j, r in enumerate(term.rows) if r.kind is not Row.OUTPUT]
+        outputs = [j for j, r in enumerate(term.rows) if r.kind is not ResidualRow.OUTPUT]
         _require(all(z in self.dof_v for z in term.indices(ValueKind.COSTATE)))
         if not outputs:
             return
-        _require(all(term.rows[j].kind is Row.BALANCE and term.rows[j].index in self.dof_v for j in outputs))
+        _require(all(term.rows[j].kind is ResidualRow.BALANCE and term.rows[j].index in self.dof_v for j in outputs))
         _require(term.local.keys() <= {ValueKind.STATE, ValueKind.COSTATE, ValueKind.INPUT, ValueKind.PARAMETER})
         _require(all(x in self.dof for x in term.indices(ValueKind.STATE)))
         self._add(

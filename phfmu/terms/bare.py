@@ -20,7 +20,7 @@ import numpy as np
 from phfmu.declare.variable import ValueKind
 from phfmu.terms.canonical import Locator, components, make_term, scalars
 from phfmu.terms.hidden import HiddenConstraints
-from phfmu.terms.located import Row, RowAt
+from phfmu.terms.located import ResidualRow, RowAt
 from phfmu.terms.rows import costate_symbols, costates, row_expressions
 from phfmu.terms.term import CLOSED, CONSTRAINT, ENERGY, JOINT, Term, TermKind, Terms
 
@@ -228,7 +228,7 @@ class BareRows:
                 exprs = {"L": L, "c": -ca.mtimes(L.T, gradient), "S": ca.mtimes([L.T, hessian, L])}
                 out.append(
                     make_term(IMPULSE, {k: ca.densify(v) for k, v in exprs.items()}, locator, "bare node",
-                              rows=[RowAt(Row.BALANCE, i) for i in own] + [RowAt(Row.EQUATION, r) for r in touched], owner=owner,
+                              rows=[RowAt(ResidualRow.BALANCE, i) for i in own] + [RowAt(ResidualRow.EQUATION, r) for r in touched], owner=owner,
                               extra=ca.vertsplit(psi), form=remedy)
                 )  # fmt: skip
         return out

@@ -21,7 +21,7 @@ import casadi as ca
 
 from phfmu.declare.variable import ValueKind
 from phfmu.terms.hidden import HiddenConstraints, variable_at
-from phfmu.terms.located import Constant, Row, RowAt, ValueAt
+from phfmu.terms.located import Constant, ResidualRow, RowAt, ValueAt
 from phfmu.terms.term import EMPTY, FLOW, OBSERVABLE, Term, Terms
 
 #: an output of a flow term: the place of the term, and which one
@@ -82,7 +82,7 @@ class _RowSums:
                 self.flows[row][i, j] = self.flows[row].get((i, j), 0.0) + 1.0
         elif t.kind is not OBSERVABLE:
             self._variables -= read
-            self._rows -= {row.index for row in t.rows if row.kind is Row.EQUATION}
+            self._rows -= {row.index for row in t.rows if row.kind is ResidualRow.EQUATION}
 
     def _add(self, row: RowAt, source: ValueAt, value: float) -> None:
         entries = self.entries[row]
@@ -109,7 +109,7 @@ class _RowSums:
             left = rest
 
     def _taken(self, r: int) -> bool:
-        for source in list(self.entries[RowAt(Row.EQUATION, r)]):
+        for source in list(self.entries[RowAt(ResidualRow.EQUATION, r)]):
             a = source.index
             if source.kind is ValueKind.ALGEBRAIC and a in self._rows and self._gives(r, a) and self._gives(a, r):
                 self._put_in(r, a)
@@ -120,18 +120,18 @@ class _RowSums:
     def _gives(self, r: int, variable: int) -> bool:
         """True if row r gives the variable: flow terms read values that are known before they are evaluated, and no row becomes
         longer than by what is taken out of it."""
-        row = RowAt(Row.EQUATION, r)
+        row = RowAt(ResidualRow.EQUATION, r)
         entries, flows = self.entries[row], self.flows[row]
         if variable not in self._variables or abs(entries.get(ValueAt(ValueKind.ALGEBRAIC, variable), 0.0)) != 1.0:
             return False
         if ValueAt(ValueKind.ALGEBRAIC, r) in entries or (flows and self.readers[variable]):
             return False
-        uses = len(self.readers[variable]) + sum(t.kind is not Row.CONDENSED for t in self.users[variable]) - 1
+        uses = len(self.readers[variable]) + sum(t.kind is not ResidualRow.CONDENSED for t in self.users[variable]) - 1
         return min(len(entries) + len(flows) - 1, uses) <= 1
 
     def _put_in(self, r: int, variable: int) -> None:
         """variable = -(the rest of row r) / its factor, in all rows and values that have it."""
-        row, source = RowAt(Row.EQUATION, r), ValueAt(ValueKind.ALGEBRAIC, variable)
+        row, source = RowAt(ResidualRow.EQUATION, r), ValueAt(ValueKind.ALGEBRAIC, variable)
         factor = self.entries[row][source]
         self._add(row, source, -factor)
         entries, flows = self.entries.pop(row), self.flows.pop(row)
@@ -139,7 +139,7 @@ class _RowSums:
             if other.kind is ValueKind.ALGEBRAIC:
                 self.users[other.index].pop(row)
                 self.readers[other.index] |= self.readers[variable]
-        own = self.given[variable] = RowAt(Row.CONDENSED, variable)
+        own = self.given[variable] = RowAt(ResidualRow.CONDENSED, variable)
         for target in [*self.users.pop(variable, ()), own]:
             share = -1.0 / factor if target == own else -self.entries[target].pop(source) / factor
             for other, value in entries.items():
@@ -165,8 +165,8 @@ def _rewritten(terms: Terms, rows: _RowSums) -> list[Term]:
             out.append(t)
             continue
         found = targets[i]
-        solved = {row: parts for row, parts in found.items() if row.kind is not Row.CONDENSED}
-        values = {row: parts for row, parts in found.items() if row.kind is Row.CONDENSED}
+        solved = {row: parts for row, parts in found.items() if row.kind is not ResidualRow.CONDENSED}
+        values = {row: parts for row, parts in found.items() if row.kind is ResidualRow.CONDENSED}
         reads = _FlowArguments(t, rows)
         if solved or "loss" in t.data:
             out.append(_term(t, reads, solved, known))

@@ -15,7 +15,7 @@ import casadi as ca
 
 from phfmu.declare.variable import ValueKind
 from phfmu.matching import maximum_matching
-from phfmu.terms.located import Row, RowAt, ValueAt
+from phfmu.terms.located import ResidualRow, RowAt, ValueAt
 from phfmu.terms.term import FLOW, Term, Terms
 
 
@@ -28,7 +28,7 @@ class HiddenConstraints:
 
     def differentiates(self, row: RowAt) -> bool:
         """True if a row is one of those to differentiate."""
-        return row.kind is Row.EQUATION and row.index in self.rows
+        return row.kind is ResidualRow.EQUATION and row.index in self.rows
 
     @property
     def checks(self) -> list[int]:
@@ -78,13 +78,13 @@ def hidden_rows(terms: Terms) -> HiddenConstraints:
     bound = terms.bound
     for c in terms.constants:
         variable = variable_at(c.source, bound)
-        if c.row.kind is Row.EQUATION and variable is not None:
+        if c.row.kind is ResidualRow.EQUATION and variable is not None:
             columns[c.row.index].add(variable)
     patterns: dict[tuple, list[list[ValueAt]]] = {}
     for t in terms.of(FLOW):
-        if any(r.kind is Row.EQUATION for r in t.rows):
+        if any(r.kind is ResidualRow.EQUATION for r in t.rows):
             for row, places in zip(t.rows, _pattern(t, bound, patterns), strict=True):
-                if row.kind is Row.EQUATION:
+                if row.kind is ResidualRow.EQUATION:
                     found = (variable_at(ValueAt(at.kind, t.index[at.kind][at.index]), bound) for at in places)
                     columns[row.index] |= {v for v in found if v is not None}
     match = maximum_matching([sorted(found) for found in columns], terms.na)

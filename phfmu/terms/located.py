@@ -12,7 +12,7 @@ from typing import NamedTuple
 from phfmu.declare.variable import ValueKind
 
 
-class Row(Enum):
+class ResidualRow(Enum):
     """A kind of row."""
 
     BALANCE = "balance of a state"
@@ -35,7 +35,7 @@ class ValueAt(NamedTuple):
 class RowAt(NamedTuple):
     """The row number `index` of its kind."""
 
-    kind: Row
+    kind: ResidualRow
     index: int
 
 
@@ -48,5 +48,13 @@ class Constant(NamedTuple):
 
 
 #: the row that belongs to a variable of J, R or B, and the effort that its column multiplies
-ROW_OF = {ValueKind.STATE: Row.BALANCE, ValueKind.ALGEBRAIC: Row.EQUATION, ValueKind.INPUT: Row.OUTPUT}
-EFFORT_OF = {Row.BALANCE: ValueKind.COSTATE, Row.EQUATION: ValueKind.ALGEBRAIC, Row.OUTPUT: ValueKind.INPUT}
+ROW_OF = {
+    ValueKind.STATE: ResidualRow.BALANCE,
+    ValueKind.ALGEBRAIC: ResidualRow.EQUATION,
+    ValueKind.INPUT: ResidualRow.OUTPUT,
+}
+EFFORT_OF = {
+    ResidualRow.BALANCE: ValueKind.COSTATE,
+    ResidualRow.EQUATION: ValueKind.ALGEBRAIC,
+    ResidualRow.OUTPUT: ValueKind.INPUT,
+}

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from phfmu.declare.variable import ValueKind
 from phfmu.terms.hidden import contained, variable_at
-from phfmu.terms.located import Row
+from phfmu.terms.located import ResidualRow
 from phfmu.terms.term import CLOSED, CONSTRAINT, FLOW, MASS_BLOCK, Term, Terms
 from phfmu.terms.velocities import velocity_of
 
@@ -20,10 +20,10 @@ def moved_by_impulses(terms: Terms) -> NDArray[np.bool_]:
     """Per state whether an impulse reaches it (n1)."""
     moved = np.zeros(terms.n1, bool)
     for c in terms.constants:
-        if c.row.kind is Row.BALANCE and variable_at(c.source, terms.bound) is not None:
+        if c.row.kind is ResidualRow.BALANCE and variable_at(c.source, terms.bound) is not None:
             moved[c.row.index] = True
     for t in terms.of(FLOW):
-        reached = (r for j, r in enumerate(t.rows) if r.kind is Row.BALANCE and contained(t, j, terms.bound))
+        reached = (r for j, r in enumerate(t.rows) if r.kind is ResidualRow.BALANCE and contained(t, j, terms.bound))
         moved[[r.index for r in reached]] = True
     velocity = velocity_of(terms)
     for t in terms.of(CONSTRAINT):

@@ -10,7 +10,7 @@ from phfmu.declare.phdae import PHDAE
 from phfmu.declare.variable import ValueKind, time
 from phfmu.terms.extraction.extract_energy import all_divided
 from phfmu.terms.hidden import Check, HiddenConstraints, Level
-from phfmu.terms.located import Row
+from phfmu.terms.located import ResidualRow
 from phfmu.terms.term import CLOSED, CONSTRAINT, FLOW, MASS, Term, Terms, by_kind, gathered
 from phfmu.terms.velocities import velocity_of
 
@@ -25,12 +25,12 @@ def row_expressions(terms: Terms, rows: Iterable[int], z: ca.SX, u: ca.SX | None
 
     `u`: free inputs (a symbol a pair), by default left out;  the rows of holonomic constraints are without these.
     """
-    return _expressions(terms, Row.EQUATION, rows, z, ca.SX.zeros(len(terms.pairs)) if u is None else u)
+    return _expressions(terms, ResidualRow.EQUATION, rows, z, ca.SX.zeros(len(terms.pairs)) if u is None else u)
 
 
 def output_expressions(terms: Terms, pairs: Iterable[int], z: ca.SX, u: ca.SX) -> dict[int, ca.SX]:
     """The chosen pair outputs y = B^T z in x, `z` (n1), algebraic variables, parameters and free inputs `u` (a symbol a pair)."""
-    return _expressions(terms, Row.OUTPUT, pairs, z, u)
+    return _expressions(terms, ResidualRow.OUTPUT, pairs, z, u)
 
 
 def flow_expressions(terms: Terms, z: ca.SX, u: ca.SX) -> tuple[ca.SX, ca.SX]:
@@ -38,12 +38,12 @@ def flow_expressions(terms: Terms, z: ca.SX, u: ca.SX) -> tuple[ca.SX, ca.SX]:
 
     In x, `z` (n1), algebraic variables, parameters and `u` (an expression a pair that is not fed by an algebraic variable).
     """
-    flows = _expressions(terms, Row.BALANCE, range(terms.n1), z, u)
-    rows = _expressions(terms, Row.EQUATION, range(terms.na), z, u)
+    flows = _expressions(terms, ResidualRow.BALANCE, range(terms.n1), z, u)
+    rows = _expressions(terms, ResidualRow.EQUATION, range(terms.na), z, u)
     return tuple(ca.vertcat(ca.SX(0, 1), *(f[i] for i in range(len(f)))) for f in (flows, rows))  # type: ignore[return-value]
 
 
-def _expressions(terms: Terms, kind: Row, rows: Iterable[int], z: ca.SX, u: ca.SX) -> dict[int, ca.SX]:
+def _expressions(terms: Terms, kind: ResidualRow, rows: Iterable[int], z: ca.SX, u: ca.SX) -> dict[int, ca.SX]:
     """The chosen rows of one kind; `u`: expressions of the free inputs."""
     model, bound, x = terms.model, terms.bound, terms.model.x
     found = {r: ca.SX(0) for r in rows}

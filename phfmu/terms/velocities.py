@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from phfmu.declare.variable import ValueKind
-from phfmu.terms.located import Constant, Row
+from phfmu.terms.located import Constant, ResidualRow
 from phfmu.terms.term import Terms
 
 
@@ -27,7 +27,7 @@ def velocities(terms: Terms) -> Velocities:
     other = terms.with_descriptor()
     rows: dict[int, list[Constant]] = {}
     for c in terms.constants:
-        if c.row.kind is Row.BALANCE:
+        if c.row.kind is ResidualRow.BALANCE:
             rows.setdefault(c.row.index, []).append(c)
     single = {q: found[0] for q, found in rows.items() if len(found) == 1 and q not in other}
     return Velocities(

@@ -288,7 +288,8 @@ def test_a_signal_ends_a_build_and_its_compilers(folder: Path, tmp_path: Path, k
     slow.write_text(f'#!/bin/sh\n[ "$1" = --version ] && echo slow && exit\necho $$ >> {begun}\nsleep 300\n')
     slow.chmod(0o755)
     code = (
-        "import signal, sys\nfrom phfmu.engine.build.compile import compile\nfrom phfmu.interrupt import DeferredInterrupt, raising\n"
+        "import signal, sys\nfrom phfmu.engine.build.compile import compile\n"
+        "from phfmu.interrupt import DeferredInterrupt, raising\n"
         f"with {'DeferredInterrupt' if kept else 'raising'}():\n    compile({SOURCES!r}, compiler='cc')"
     )
     here = os.environ | {"PATH": f"{tmp_path}{os.pathsep}{os.environ['PATH']}"}

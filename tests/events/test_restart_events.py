@@ -18,7 +18,7 @@ from phfmu import (
     run,
 )
 from phfmu.components.library import build
-from phfmu.engine.record import Grid
+from phfmu.engine.record import StepGrid
 from tests.events.stiff_fault import EVENTS, FAULT, STEP, STOP, T_FAULT, exact, network
 from tests.wide import wide
 
@@ -97,7 +97,7 @@ def test_landing_pauses_behind_the_events_of_one_time():
     ends = [(float(p[0][-1] + p[1][-1]) if p[2] is not None else 0.0) for p in whole.land(0.0, scene.step, 20)]
     first, changed, at = 0, True, 0
     while first < 20:
-        grid = Grid(0.0, scene.step, 20 - first, first, pause=True)
+        grid = StepGrid(0.0, scene.step, 20 - first, first, pause=True)
         landed = list(parts.landed(parts.instance, grid, changed))
         happened = [p[3][0].t for p in landed if p[3] is not None]
         if not happened:
@@ -105,7 +105,7 @@ def test_landing_pauses_behind_the_events_of_one_time():
         assert len(set(happened)) == 1
         at, changed = happened[-1], False
         first = int(at // scene.step) + 1
-        rest = Grid(at, first * scene.step - at, 1)
+        rest = StepGrid(at, first * scene.step - at, 1)
         assert all(p[3] is None for p in parts.landed(parts.instance, rest, False))
     assert at > 0 and parts.instance.time == pytest.approx(max(ends), rel=1e-12)
     assert np.allclose(parts.instance.x, whole.instance.x, rtol=1e-9, atol=1e-12)

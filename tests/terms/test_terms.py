@@ -16,7 +16,7 @@ from phfmu.schemes.constraints.impulses import Impulses
 from phfmu.schemes.two_level import TwoLevel
 from phfmu.terms.extraction.extract import extract
 from phfmu.terms.hidden import HiddenConstraints
-from phfmu.terms.located import Constant, Row, RowAt, ValueAt
+from phfmu.terms.located import Constant, ResidualRow, RowAt, ValueAt
 from phfmu.terms.rank import ConstraintsAtStart, at_start
 from phfmu.terms.term import CONSTRAINT, Terms
 from phfmu.terms.velocities import Velocities, velocity_of
@@ -34,11 +34,11 @@ def particles() -> Terms:
 def test_terms_and_constants_of_a_model_are_typed(particles: Terms) -> None:
     for term in particles.terms:
         assert {type(kind) for kind in term.local} <= {ValueKind} and term.local.keys() == term.index.keys()
-        assert all(isinstance(row, RowAt) and isinstance(row.kind, Row) for row in term.rows)
+        assert all(isinstance(row, RowAt) and isinstance(row.kind, ResidualRow) for row in term.rows)
         assert all(len(term.index[kind]) == s.numel() for kind, s in term.local.items())
     assert particles.constants and all(isinstance(c, Constant) for c in particles.constants)
     at = particles.state_names.index("q[1]")
-    moved = [c for c in particles.constants if c.row == RowAt(Row.BALANCE, at)]
+    moved = [c for c in particles.constants if c.row == RowAt(ResidualRow.BALANCE, at)]
     assert [(c.source, c.value) for c in moved] == [(ValueAt(ValueKind.COSTATE, velocity_of(particles)[at]), 1.0)]
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.derivatives.event_maps import EventInstant
-from phfmu.engine.record import Grid
+from phfmu.engine.record import StepGrid
 from phfmu.events.modes import Mode
 
 Array = NDArray[np.float64]
@@ -92,7 +92,7 @@ class CompiledCall:
     """
 
     state: Any
-    grid: Grid
+    grid: StepGrid
     inputs: Array | None
     changed: bool | None
     legs: list[Leg] = field(default_factory=list)

@@ -23,7 +23,7 @@ from phfmu.engine.native.code import Kind
 from phfmu.engine.native.library import Column, Record, enums, record_widths, view
 from phfmu.engine.native.native_model import native_model
 from phfmu.engine.node_sensitivity import NodeSensitivity, chosen, columns, directions
-from phfmu.engine.record import Grid, step_by_step
+from phfmu.engine.record import StepGrid, step_by_step
 from phfmu.engine.rest_changes import RestChange, named
 from phfmu.outcome.limits import LIMITS
 from phfmu.outcome.status import Status, StepFailure, attempts
@@ -266,7 +266,7 @@ class NativeInstance(NativeReadings):
     def step_exactly(self, t: float, h: float, parts: int = 1) -> None:
         self._check(self._lib.ph_step_exactly(self._in, t, h, parts))
 
-    def _run(self, grid: Grid, names: tuple[str, ...], inputs: Floats | None) -> dict[str, Floats]:
+    def _run(self, grid: StepGrid, names: tuple[str, ...], inputs: Floats | None) -> dict[str, Floats]:
         if self.model.events is not None:
             result, self.happened = step_by_step(self, grid, names, inputs)
             return result
@@ -296,7 +296,7 @@ class NativeInstance(NativeReadings):
         """The landing of the instance in compiled code, and the function that raises the error of a status."""
         return self._lands, self._check
 
-    def _land(self, grid: Grid, names: tuple[str, ...], changed: bool) -> Iterator[Landed]:
+    def _land(self, grid: StepGrid, names: tuple[str, ...], changed: bool) -> Iterator[Landed]:
         self.expect(grid.n)
         return self._lands.over(grid, names, changed, self._check)
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from phfmu.engine.model import EngineModel
 from phfmu.engine.native.library import Column, Record, Signatures, placed, record_widths, typed, view
-from phfmu.engine.record import Grid
+from phfmu.engine.record import StepGrid
 from phfmu.outcome.status import EventRefused, Status, StepFailure
 from phfmu.outcome.steps import EventRecord, Landed
 
@@ -196,7 +196,9 @@ class NativeLanding:
         self._memory, self._in = placed(lib, "ph_landing", instance, events)
         self._lent: StepCallbacks | None = None
 
-    def over(self, grid: Grid, record: Iterable[str], changed: bool, check: Callable[[int], None]) -> Iterator[Landed]:
+    def over(
+        self, grid: StepGrid, record: Iterable[str], changed: bool, check: Callable[[int], None]
+    ) -> Iterator[Landed]:
         """The steps of a grid; `check` raises the error of a status."""
         self._lib.ph_land_from(self._in, grid.t0, grid.h, grid.first, grid.n, int(changed))
         yield from self.on(grid.n, record, check, grid.pause)
@@ -245,7 +247,7 @@ class NativeLanding:
         self._lib.ph_land_stops(self._in, self._stops.ctypes.data)
 
     def decide(self, check: Callable[[int], None]) -> None:
-        """Which of the events it stopped before come to rest, and the parameters after them; EventRefused."""
+        """Decides which of the events it stopped before come to rest, and their parameters; raises EventRefused."""
         self._require(self._lib.ph_happen_decide(self._in), check)
 
     def jump(self, check: Callable[[int], None]) -> tuple[Floats, Floats]:

@@ -17,7 +17,7 @@ from phfmu.engine.build.mode_tables import ModeTables
 from phfmu.engine.native.code import Code, Kind, code_of
 from phfmu.engine.native.library import Record, Signatures, placed, record_widths, runtime, typed
 from phfmu.engine.native.native_landing import STEPS, LandedRows, LandingMemory, LentSteps, StepCallbacks, one_by_one
-from phfmu.engine.record import Grid
+from phfmu.engine.record import StepGrid
 from phfmu.events.modes import Mode, most_held
 from phfmu.events.switch_tables import mode_rows, switch_tables
 from phfmu.outcome.status import EventRefused, Status
@@ -112,8 +112,8 @@ class NativeModes:
         more = self._source, self._sides.ctypes.data
         self._memory, self._in = placed(self._mode_code.lib, "ph_modes", self._mode_code.tables.pointer, more=more)
 
-    def land(self, grid: Grid, record: tuple[str, ...], changed: bool) -> Iterator[Landed]:
-        """Grid steps with their events; modes change between two rows."""
+    def land(self, grid: StepGrid, record: tuple[str, ...], changed: bool) -> Iterator[Landed]:
+        """StepGrid steps with their events; modes change between two rows."""
         lib = self._mode_code.lib
         self.push()
         lib.ph_modes_from(self._in, grid.t0, grid.h, grid.first, grid.n, int(changed))

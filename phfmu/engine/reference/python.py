@@ -16,7 +16,7 @@ from phfmu.engine.impulses import Ports, PythonImpulses
 from phfmu.engine.instance import Instance
 from phfmu.engine.model import require_no_landing
 from phfmu.engine.node_sensitivity import NodeSensitivity, chosen, columns, directions
-from phfmu.engine.record import Grid, step_by_step
+from phfmu.engine.record import StepGrid, step_by_step
 from phfmu.engine.reference.evaluate import carried
 from phfmu.engine.reference.present import PresentValues
 from phfmu.engine.reference.solves import Solves
@@ -277,12 +277,12 @@ class PythonInstance(PythonReadings):
         s.y_step, s.y_node = end["y"].copy(), np.tile(end["y"], (self.model.step.k, 1))
         s.counts["steps"] += 1
 
-    def _run(self, grid: Grid, names: tuple[str, ...], inputs: Array | None) -> dict[str, Array]:
+    def _run(self, grid: StepGrid, names: tuple[str, ...], inputs: Array | None) -> dict[str, Array]:
         self._ports.require_none(self._s.impulses)
         require_no_landing(self.model)
         return step_by_step(self, grid, names, inputs)[0]
 
-    def _land(self, grid: Grid, names: tuple[str, ...], changed: bool) -> Iterator[Landed]:
+    def _land(self, grid: StepGrid, names: tuple[str, ...], changed: bool) -> Iterator[Landed]:
         require_no_landing(self.model)
         raise ValueError(f"{self.model.name} has no state events: use run")
 

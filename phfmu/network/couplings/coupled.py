@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.engine.record import Grid
+from phfmu.engine.record import StepGrid
 from phfmu.engine.rest_changes import RestChange
 from phfmu.interrupt import Interrupted
 from phfmu.network.couplings.acceptance import HALVED
@@ -488,9 +488,9 @@ class Coupled:
 
     def land(self, t0: float, h: float, n: int, first: int = 0, changed: bool = True) -> Iterator[Landing]:
         """Steps and events, as `Monolithic.land` yields them, of members whose steps all end on the zeros of guards."""
-        return self._landed(Grid(t0, h, n, first), changed)
+        return self._landed(StepGrid(t0, h, n, first), changed)
 
-    def _landed(self, grid: Grid, changed: bool) -> Iterator[Landing]:
+    def _landed(self, grid: StepGrid, changed: bool) -> Iterator[Landing]:
         assert self._lander is not None
         for k in range(grid.n):
             paused = False
@@ -581,7 +581,7 @@ class Coupled:
         """n steps of this one or of a companion."""
         return instance.advance(t0, h, n)
 
-    def landed(self, instance: Coupled, grid: Grid, changed: bool) -> Iterator[Landing]:
+    def landed(self, instance: Coupled, grid: StepGrid, changed: bool) -> Iterator[Landing]:
         """`land` of this one or of a companion; a grid that pauses ends with the first event."""
         return instance._landed(grid, changed)
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from phfmu.discretise.accounts import Accounts
 from phfmu.discretise.constant_energy import Constants
 from phfmu.discretise.model import Model, build_model
-from phfmu.engine.record import Grid
+from phfmu.engine.record import StepGrid
 from phfmu.engine.rest_changes import RestChange
 from phfmu.engine.switched import stepped
 from phfmu.network.couplings.stepper import Landing
@@ -193,9 +193,9 @@ class Monolithic:
 
         None for no steps, and for the steps before the end or a failure.  `changed`: something was set since the last step.
         """
-        return self.landed(self.instance, Grid(t0, h, n, first), changed)
+        return self.landed(self.instance, StepGrid(t0, h, n, first), changed)
 
-    def landed(self, instance: Any, grid: Grid, changed: bool) -> Iterator[Landing]:
+    def landed(self, instance: Any, grid: StepGrid, changed: bool) -> Iterator[Landing]:
         """`land` of the instance or of a companion; a grid that pauses ends with the first event."""
         if self.followed is not None and grid.n > 1:
             for k in range(grid.first, grid.first + grid.n):

@@ -29,7 +29,7 @@ from phfmu.plan.plan import Plan
 from phfmu.schemes.constraints.impulses import END_SHIFT, ROOT, WORK_POINTS
 from phfmu.terms.bare import IMPULSE, Remedy
 from phfmu.terms.extraction.extract import extract
-from phfmu.terms.located import Row
+from phfmu.terms.located import ResidualRow
 from phfmu.terms.term import Term
 
 Array = NDArray[np.float64]
@@ -97,11 +97,11 @@ def _projects(plan: Plan) -> bool:
 
 
 def _rows(term: Term) -> Iterator[int]:
-    return (r.index for r in term.rows if r.kind is Row.EQUATION)
+    return (r.index for r in term.rows if r.kind is ResidualRow.EQUATION)
 
 
 def _share(term: Term, layout: Layout, part: list[int]) -> ProjectionLosses:
-    states = [r.index for r in term.rows if r.kind is Row.BALANCE]
+    states = [r.index for r in term.rows if r.kind is ResidualRow.BALANCE]
     x, p = term.symbols(ValueKind.STATE), term.symbols(ValueKind.PARAMETER)
     s, m = ca.SX.sym("s", len(states)), ca.SX.sym("m", len(part))
     shift = ca.vertcat(s, ca.SX(x.numel() - len(states), 1))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.engine.record import Grid
+from phfmu.engine.record import StepGrid
 from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.network.couplings.stepper import Landing
 from phfmu.outcome.limits import LIMITS, defined
@@ -73,7 +73,7 @@ class LandingBook:
 
 
 class EventSteps:
-    """Grid steps of a model with state events, or of members that land together.
+    """StepGrid steps of a model with state events, or of members that land together.
 
     With restart steps the rest of a step with an event and the `restart` steps after it are taken with damping.
     """
@@ -110,7 +110,7 @@ class EventSteps:
             while first < n:
                 self.place = MarchPosition(piece, first, left, changed)
                 self.between_blocks()
-                grid = Grid(t, h, self._ringing.block(min(self.pace.steps, n - first)), first)
+                grid = StepGrid(t, h, self._ringing.block(min(self.pace.steps, n - first)), first)
                 if self._damped is None:
                     yield from self._landing_book.rows(self.stepper.land(t, h, grid.n, first, changed))
                     taken = grid.n
@@ -120,11 +120,11 @@ class EventSteps:
                 self.pace.handed_over(taken)
 
     def _restarting(
-        self, damped: Restart, grid: Grid, changed: bool, left: int
+        self, damped: Restart, grid: StepGrid, changed: bool, left: int
     ) -> Generator[RowBlock, None, tuple[int, int]]:
         """One damped step if some are `left` to take, else exact ones up to an event and a damped rest of the step with it.
 
-        Grid steps that were taken, and damped ones that are left after them.
+        StepGrid steps that were taken, and damped ones that are left after them.
         """
         if left:
             yield from self._landing_book.rows(damped.land(grid.start(0), grid.h, changed), damped=True)
@@ -223,7 +223,7 @@ class AdaptiveEventSteps:
         if damped and self._damped is not None:
             parts = self._damped.land(t, h, pause=pause)
         else:
-            parts = self.stepper.landed(self.stepper.instance, Grid(t, h / n, n, pause=pause), False)
+            parts = self.stepper.landed(self.stepper.instance, StepGrid(t, h / n, n, pause=pause), False)
         yield from self._landing_book.rows(parts, spent)
         self.pace.count(1)
         found = self._landing_book.event
@@ -243,8 +243,8 @@ class AdaptiveEventSteps:
         return self._damped.notes() if self._damped else []
 
 
-def _place(grid: Grid, t: float) -> tuple[int, float]:
-    """Grid steps that are over at the time t, and what is left of the one under way, 0 for nothing."""
+def _place(grid: StepGrid, t: float) -> tuple[int, float]:
+    """StepGrid steps that are over at the time t, and what is left of the one under way, 0 for nothing."""
     over = int((t - grid.start(0)) // grid.h)
     for k in (over, over + 1):
         if abs(grid.start(k) - t) <= LIMITS["REST_OF_STEP"] * EPS * max(abs(t), abs(grid.start(k))):

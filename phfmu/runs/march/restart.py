@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 from phfmu.declare.error import DeclarationError
-from phfmu.engine.record import Grid
+from phfmu.engine.record import StepGrid
 from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.network.couplings.stepper import Landing, Stepper
 from phfmu.outcome.status import StepFailure
@@ -56,7 +56,7 @@ class Restart:
 
     def land(self, t: float, h: float, changed: bool = False, pause: bool = False) -> Iterator[Landing]:
         """A step from t that ends on the zeros of guards too, with the events in it; see `Monolithic.landed`."""
-        own, grid, parts, failure = self.stepper.instance, Grid(t, h, 1, pause=pause), list[Landing](), None
+        own, grid, parts, failure = self.stepper.instance, StepGrid(t, h, 1, pause=pause), list[Landing](), None
         self.asked += 1
         self.stepper.follow(self.instance, own)
         try:

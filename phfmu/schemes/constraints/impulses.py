@@ -30,7 +30,7 @@ from phfmu.plan.planner import SchemeMaps
 from phfmu.plan.spec import Arguments, Result, Spec
 from phfmu.plan.unknown import Role, Unknown, of_algebraics, of_states
 from phfmu.terms.bare import IMPULSE, BareRows, Remedy
-from phfmu.terms.located import Row
+from phfmu.terms.located import ResidualRow
 from phfmu.terms.term import Term, Terms
 
 #: Points of the rule for the square root: error (e/4)^(2 POINTS) for a relative change e of S over a step.
@@ -98,7 +98,7 @@ def prepare(terms: Terms) -> Terms:
 
 
 def _states(terms: list[Term]) -> tuple[int, ...]:
-    return tuple(sorted({r.index for t in terms for r in t.rows if r.kind is Row.BALANCE}))
+    return tuple(sorted({r.index for t in terms for r in t.rows if r.kind is ResidualRow.BALANCE}))
 
 
 def _marked(t: Term, shifted: set[int]) -> Term:
@@ -136,7 +136,7 @@ class _Member:
     def __init__(self, term: Term, nd: Nodes):
         self.args, self.data, self.k = Arguments(term, nd.k), term.data, nd.k
         self.x, n = term.local[ValueKind.STATE], term.local[ValueKind.STATE].numel()
-        self.psi = range(sum(r.kind is Row.BALANCE for r in term.rows))
+        self.psi = range(sum(r.kind is ResidualRow.BALANCE for r in term.rows))
         self.nodes = range(len(self.psi), len(term.rows))
         self.rest = ca.SX(n - len(self.psi), 1)
         self.increment = ca.mtimes(self.args.matrix(increment, n), ca.DM(nd.b))
@@ -214,7 +214,7 @@ def unknowns(terms: Terms) -> list[Unknown]:
 
 def reports(terms: Terms) -> list[Work]:
     """The work of every impulse on every member."""
-    return [Work(r.index, t.owner) for t in terms.of(IMPULSE) for r in t.rows if r.kind is Row.EQUATION]
+    return [Work(r.index, t.owner) for t in terms.of(IMPULSE) for r in t.rows if r.kind is ResidualRow.EQUATION]
 
 
 def maps(layout: Layout, base: SchemeMaps) -> SchemeMaps:

@@ -15,7 +15,7 @@ from phfmu.terms.extraction.extract_energy import energies
 from phfmu.terms.extraction.extract_flows import blocks, ports
 from phfmu.terms.extraction.extract_masses import closed_pairs, masses
 from phfmu.terms.hidden import hidden_rows
-from phfmu.terms.located import Row, RowAt
+from phfmu.terms.located import ResidualRow, RowAt
 from phfmu.terms.term import CONSTRAINT, OBSERVABLE, PortPair, Terms
 from phfmu.terms.velocities import velocities, velocity_of
 
@@ -24,14 +24,18 @@ def constraints(model: PHDAE, out: Terms, locator: Locator) -> None:
     """A term for each row of g; the velocities are known.  DeclarationError if g acts on no positions."""
     for c in model.constraints:
         name = c.multiplier.name
-        drive = [] if c.drive is None else [RowAt(Row.OUTPUT, locator.find(c.drive.u[0], f"drive of '{name}'").index)]
+        drive = (
+            []
+            if c.drive is None
+            else [RowAt(ResidualRow.OUTPUT, locator.find(c.drive.u[0], f"drive of '{name}'").index)]
+        )
         if c.g.shape != (c.multiplier.n, 1):
             raise DeclarationError(
                 f"constraint '{c.multiplier.name}'", f"g is {c.g.shape[0]} x {c.g.shape[1]}, its multiplier has "
                 f"{c.multiplier.n} entries", "give the multiplier one entry for each row of g", "shape",
             )  # fmt: skip
         for j, at in enumerate(locator.of(c.multiplier)):
-            rows = [RowAt(Row.EQUATION, at.index), *(drive if ca.depends_on(c.g[j], time) else [])]
+            rows = [RowAt(ResidualRow.EQUATION, at.index), *(drive if ca.depends_on(c.g[j], time) else [])]
             out.terms.append(
                 make_term(CONSTRAINT, {"g": c.g[j]}, locator, f"constraint '{name}'", rows=rows,
                           owner=out.member(c.owner))
@@ -86,7 +90,7 @@ def _observables(model: PHDAE, out: Terms, locator: Locator) -> None:
     first = 0
     for o in model.observables:
         n = o.expr.numel()
-        rows = [RowAt(Row.OBSERVABLE, first + j) for j in range(n)]
+        rows = [RowAt(ResidualRow.OBSERVABLE, first + j) for j in range(n)]
         out.observable_names += o.names()
         f = o.expr if o.expr.is_column() else ca.vec(o.expr)
         out.terms.append(make_term(OBSERVABLE, {"f": f}, locator, f"observable '{o.name}'", rows=rows))
@@ -99,6 +103,6 @@ def _modes(model: PHDAE, out: Terms, locator: Locator) -> None:
         return
     symbols = {n: s for v in model.parameters for n, s in zip(v.names(), ca.vertsplit(v.sx), strict=True)}
     for name in model.modes:
-        rows = [RowAt(Row.OBSERVABLE, len(out.observable_names))]
+        rows = [RowAt(ResidualRow.OBSERVABLE, len(out.observable_names))]
         out.observable_names.append(name)
         out.terms.append(make_term(OBSERVABLE, {"f": symbols[name]}, locator, f"mode '{name}'", rows=rows))

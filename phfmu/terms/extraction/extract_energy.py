@@ -14,7 +14,7 @@ from phfmu.declare.expressions.summands import summands
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.variable import ValueKind
 from phfmu.terms.canonical import Locator, alike, make_term, scalars
-from phfmu.terms.located import Row, RowAt
+from phfmu.terms.located import ResidualRow, RowAt
 from phfmu.terms.term import ENERGY, JOINT, EnergyForm, Term, Terms
 
 
@@ -105,7 +105,7 @@ def _joint(out: Terms, locator: Locator, mass: dict[int, ca.SX], group: list[Ene
 
 
 def _balances(states: list[tuple[ca.SX, int]]) -> list[RowAt]:
-    return [RowAt(Row.BALANCE, i) for _, i in states]
+    return [RowAt(ResidualRow.BALANCE, i) for _, i in states]
 
 
 def _costates(h: ca.SX, states: list[tuple[ca.SX, int]], mass: dict[int, ca.SX]) -> ca.SX:

@@ -16,7 +16,7 @@ from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import Port
 from phfmu.declare.variable import ValueKind, Variable, VariableKind, _sx
 from phfmu.terms.canonical import Locator, alike, components, make_term, scalars
-from phfmu.terms.located import EFFORT_OF, ROW_OF, Constant, Row, RowAt, ValueAt
+from phfmu.terms.located import EFFORT_OF, ROW_OF, Constant, ResidualRow, RowAt, ValueAt
 from phfmu.terms.term import FLOW, SOURCE, Term, Terms
 
 
@@ -47,10 +47,10 @@ def _constant(entry: ca.SX | float) -> float | None:
 
 def _targets(out: Terms, row: RowAt) -> list[tuple[RowAt, float]]:
     """Rows that an entry of a block adds to, with signs: -y is also booked where a bound port is fed from."""
-    if row.kind is not Row.OUTPUT:
+    if row.kind is not ResidualRow.OUTPUT:
         return [(row, 1.0)]
     back = out.bound.get(row.index)
-    return [(row, -1.0)] if back is None else [(row, -1.0), (RowAt(Row.EQUATION, back), 1.0)]
+    return [(row, -1.0)] if back is None else [(row, -1.0), (RowAt(ResidualRow.EQUATION, back), 1.0)]
 
 
 def _flow(out: Terms, rows: Sequence[RowAt], f: ca.SX) -> tuple[list[RowAt], ca.SX]:
@@ -78,7 +78,7 @@ class _LabelledBlock:
     def terms(self, out: Terms, locator: Locator, parts: list[ca.SX], make: Callable[[], list[Term]]) -> list[Term]:
         """Terms that follow from expressions `parts` of this block, made once for all blocks that are alike."""
         rows = [target for row in self.rows for target, _ in _targets(out, row)]
-        bound = tuple(row.index in out.bound for row in self.rows if row.kind is Row.OUTPUT)
+        bound = tuple(row.index in out.bound for row in self.rows if row.kind is ResidualRow.OUTPUT)
         return alike([*parts, self.z], rows, locator, self.label, make, self.owner, bound)
 
 
@@ -193,7 +193,7 @@ def ports(out: Terms, locator: Locator) -> None:
                 )  # fmt: skip
             for j in range(port.n):
                 i = first[id(port)] + j
-                rows = [RowAt(Row.SOURCE, i)]
+                rows = [RowAt(ResidualRow.SOURCE, i)]
                 out.terms.append(make_term(SOURCE, {"s": s[j]}, locator, f"source of '{port.name}'", rows=rows))
 
 
@@ -217,7 +217,7 @@ def _port(out: Terms, locator: Locator, port: Port, first: int) -> None:
         rows, sources = _rows(out.model, [v], locator)
         for r, j, entry in entries:
             pair, row, source, value = first + j, rows[r], sources[r], _constant(entry)
-            back = RowAt(Row.EQUATION, out.bound[pair]) if pair in out.bound else None
+            back = RowAt(ResidualRow.EQUATION, out.bound[pair]) if pair in out.bound else None
             if value == 0.0:
                 continue
             targets: list[tuple[RowAt, ca.SX]] = []
@@ -226,12 +226,12 @@ def _port(out: Terms, locator: Locator, port: Port, first: int) -> None:
             else:
                 targets.append((row, entry * port.u[j]))
             if value is not None and source is not None:
-                out.constants.append(Constant(RowAt(Row.OUTPUT, pair), source, value))
+                out.constants.append(Constant(RowAt(ResidualRow.OUTPUT, pair), source, value))
                 if back:
                     out.constants.append(Constant(back, source, -value))
             else:
                 y = entry * out.model.effort(v)[r]
-                targets += [(RowAt(Row.OUTPUT, pair), y)] + ([(back, -y)] if back else [])
+                targets += [(RowAt(ResidualRow.OUTPUT, pair), y)] + ([(back, -y)] if back else [])
             for target, expr in targets:
                 varying[target] = varying.get(target, ca.SX(0)) + expr
     if varying:

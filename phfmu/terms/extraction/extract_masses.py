@@ -11,7 +11,7 @@ from phfmu.declare.phdae import PHDAE
 from phfmu.declare.transform.regular import undetermined
 from phfmu.declare.variable import ValueKind, VariableKind
 from phfmu.terms.canonical import Locator, make_term, scalars
-from phfmu.terms.located import Row, RowAt
+from phfmu.terms.located import ResidualRow, RowAt
 from phfmu.terms.term import CLOSED, MASS, MASS_BLOCK, Terms
 
 
@@ -43,13 +43,15 @@ def masses(model: PHDAE, out: Terms, locator: Locator) -> dict[int, ca.SX]:
         if constant and matrix.sparsity().is_diag():
             for i, m, s in zip(where, scalars(matrix), ca.vertsplit(x), strict=True):
                 diagonal[i] = m
-                out.terms.append(make_term(MASS, {"m": m}, locator, label, rows=[RowAt(Row.BALANCE, i)], extra=[s]))
+                out.terms.append(
+                    make_term(MASS, {"m": m}, locator, label, rows=[RowAt(ResidualRow.BALANCE, i)], extra=[s])
+                )
         else:
             if constant:
                 _require_regular(label, model, matrix)
             exprs = {"E": matrix, "z": z}
             out.terms.append(
-                make_term(MASS_BLOCK, exprs, locator, label, rows=[RowAt(Row.BALANCE, i) for i in where],
+                make_term(MASS_BLOCK, exprs, locator, label, rows=[RowAt(ResidualRow.BALANCE, i) for i in where],
                           extra=[*ca.vertsplit(x), *ca.vertsplit(z)])
             )  # fmt: skip
     return diagonal
@@ -78,6 +80,6 @@ def closed_pairs(model: PHDAE, out: Terms, locator: Locator) -> None:
             exprs |= {"ebar": pair.ebar(x, d), "zbar": pair.zbar(x, d)}
         out.terms.append(
             make_term(CLOSED, exprs, locator.also(d, ValueKind.INCREMENT, where), "closed-form pair",
-                      rows=[RowAt(Row.BALANCE, i) for i in where], owner=out.member(pair.owner),
+                      rows=[RowAt(ResidualRow.BALANCE, i) for i in where], owner=out.member(pair.owner),
                       extra=[*ca.vertsplit(x), *ca.vertsplit(d)])
         )  # fmt: skip

@@ -66,7 +66,7 @@ class CoupledLander:
         self.anew: set[str] = set()
 
     def get_state(self) -> tuple[bytes, Array]:
-        """Where the model is that has the states of all, and how it got there."""
+        """The state of the model that has those of all, and the rates with which it got there."""
         return self._whole.get_state(), self._landing.rates.copy()
 
     def set_state(self, state: tuple[bytes, Array]) -> None:
@@ -79,7 +79,7 @@ class CoupledLander:
 
     @property
     def halved(self) -> int:
-        """How often steps were halved, by members or by all: such a step has no polynomial."""
+        """Number of steps that were halved, by members or by all: such a step has no polynomial."""
         return self._in_parts + sum(m.instance.counts["substeps"] for m in self.members)
 
     @property
@@ -158,7 +158,7 @@ class CoupledLander:
         return {i: numbers for i, numbers in own.items() if numbers}
 
     def _struck(self, t: float, found: Array) -> tuple[list[int], list[int], Array, set[int]]:
-        """What happens, what comes to rest, the parameters after it, and whose states have jumped together with those of others.
+        """Events that happen, those that come to rest, the parameters after them, and members whose jumps act on others.
 
         found: energies got and lost by component of the network.  A jump that acts on other members takes place in one system
         with all that these act on.
