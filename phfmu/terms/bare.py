@@ -228,7 +228,8 @@ class BareRows:
                 exprs = {"L": L, "c": -ca.mtimes(L.T, gradient), "S": ca.mtimes([L.T, hessian, L])}
                 out.append(
                     make_term(IMPULSE, {k: ca.densify(v) for k, v in exprs.items()}, locator, "bare node",
-                              rows=[RowAt(ResidualRow.BALANCE, i) for i in own] + [RowAt(ResidualRow.EQUATION, r) for r in touched], owner=owner,
+                              rows=[*(RowAt(ResidualRow.BALANCE, i) for i in own), *(RowAt(ResidualRow.EQUATION, r) for r in touched)],
+                      owner=owner,
                               extra=ca.vertsplit(psi), form=remedy)
                 )  # fmt: skip
         return out
