@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from phfmu.discretise.start import Projection
     from phfmu.network.couplings.compiled.master import Master
     from phfmu.network.couplings.compiled.shares import Make
+    from phfmu.network.couplings.landing.switching import Switching
     from phfmu.network.couplings.stepper import Landing
     from phfmu.network.members.interpolant import Interpolant
 
@@ -141,6 +142,11 @@ class Coupled:
     def lands(self) -> bool:
         """Whether steps end on the zeros of guards, all members together."""
         return self._lander is not None
+
+    @property
+    def switching(self) -> Switching | None:
+        """What all members land as, where that is their composed declaration."""
+        return self._switching
 
     @property
     def guards(self) -> int:
