@@ -25,6 +25,9 @@ SCENES: dict[str, tuple[float, int, dict[float, dict[str, float]]]] = {
     "buffer": (1e-2, 200, {1.0: {"spring.a.velocity": 0.1}}),
 }
 
+#: scene -> what is set before the start
+STARTS = {"clutch_engagement": {"driver.a.torque": 30.0, "load.d": 0.25}}
+
 
 def equal(folder: Path, scene: str, order: int, version: str, times: int = 1) -> tuple[float, float, float]:
     """All that a unit and a run tell at communication points behind the start is the same bits; means over steps with events in
@@ -33,12 +36,13 @@ def equal(folder: Path, scene: str, order: int, version: str, times: int = 1) ->
     h, n, events = SCENES[scene]
     n *= times
     path = exported(folder, scene, order, version, "--step", repr(h), "--coupling", "newton")
-    rows = table(folder, scene, order, h, n)
+    starts = STARTS.get(scene, {})
+    rows = table(folder, scene, order, h, n, *(o for name, v in starts.items() for o in ("--set", f"{name}={v!r}")))
     there = {v.name for v in fmpy.read_model_description(path, validate=True).modelVariables}
     names = [name for name in rows if name in there and name != "time"]
     means = {name for name in names if _mean(name)}
     ends = [0.0, *events, n * h]
-    with importer(path) as unit:
+    with importer(path, starts) as unit:
         for start, end in zip(ends[:-1], ends[1:], strict=True):
             unit.set(events.get(start, {}))
             for t, step, count in pieces(start, end, h):
@@ -47,7 +51,9 @@ def equal(folder: Path, scene: str, order: int, version: str, times: int = 1) ->
                     unit.step(now, after - now)
                     found = unit.get(names)
                     here = np.flatnonzero(np.abs(rows["time"] - after) <= 1e-9 * h)
-                    here = here[:1] if any(abs(after - e) <= 1e-9 * h for e in events) else here  # what is set then comes behind
+                    here = (
+                        here[:1] if any(abs(after - e) <= 1e-9 * h for e in events) else here
+                    )  # what is set then comes behind
                     wanted = [rows[name][here[-1]] for name in names]
                     many = here[-1] - np.flatnonzero(rows["time"] <= now + 1e-9 * h)[-1] > 1
                     other = [
