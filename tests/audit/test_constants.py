@@ -25,7 +25,7 @@ from phfmu.network.couplings.unit import FMUStepper
 from phfmu.network.members.fmu_member import FMUMember
 from phfmu.runs.loop import run
 from tests.test_random_models import STRUCTURES, N, declaration
-from tests.wide import wide
+from tests.wide import turning, wide
 
 pytestmark = pytest.mark.usefixtures("compiler")
 #: how a constant is in H: by itself, in a term with states, as a function of it that has no value at zero, in an offset
@@ -222,9 +222,7 @@ LIBRARY = {
 }
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("order", ["2", "4", "6"])
-@pytest.mark.parametrize("name", LIBRARY)
+@pytest.mark.parametrize(("name", "order"), turning(LIBRARY, ["2", "4", "6"]))
 def test_every_scene_of_the_library_stays_closed(name: str, order: str, capsys: pytest.CaptureFixture[str]) -> None:
     """A rotor with 2e9 J, springs under load, events: exit code 4 would be a false alarm."""
     assert main(["run", name, "--order", order, "--stop", str(LIBRARY[name] * build(name).stop)]) == 0, (

@@ -93,7 +93,7 @@ def booked(r: Any) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("order", "step", "most"), [(2, 5e-4, 1e-3), (6, 2.5e-3, 1e-9)])
-@pytest.mark.parametrize("engine", [NativeInstance, PythonInstance])
+@pytest.mark.parametrize("engine", wide([NativeInstance, PythonInstance], NativeInstance))
 def test_each_motor_books_its_torque_times_the_angle(order: int, step: float, most: float, engine: Any) -> None:
     r = simulated(falling(), order, step, engine)
     assert booked(r) == pytest.approx(np.array(TORQUES) * peer()["turned"], abs=most)

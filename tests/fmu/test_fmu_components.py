@@ -11,6 +11,7 @@ from fmpy.validation import validate_fmu
 from phfmu import FMUInstance, NativeInstance, Scene, build_model, export
 from phfmu.components.library import LIBRARY, SWITCHED, build
 from phfmu.network.members.columns import Columns
+from tests.wide import turning
 
 STEPS = 250
 #: scenes bring their own step; components take one at which they move
@@ -28,9 +29,8 @@ def two_tone(model, h: float, n: int) -> np.ndarray:
     )
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", [n for n in LIBRARY if n not in SWITCHED])
-def test_units_equal_the_native_engine(name: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("name", "version"), turning([n for n in LIBRARY if n not in SWITCHED], ["2.0", "3.0"]))
+def test_units_equal_the_native_engine(name: str, version: str, tmp_path: Path) -> None:
     found = build(name)
     declaration = found.declaration() if isinstance(found, Scene) else found
     h = found.step if isinstance(found, Scene) else STEP.get(name, 1e-4)
@@ -45,20 +45,20 @@ def test_units_equal_the_native_engine(name: str, tmp_path: Path) -> None:
             native.set_input(u[k])
         native.do_step(k * h, h)
         expected[k] = columns.now(native)
-    for path in export(model, tmp_path, step=h):
-        assert validate_fmu(str(path)) == []
-        with FMUInstance(path) as unit:
-            seen = np.zeros_like(expected)
-            for k in range(STEPS):
-                if model.step.nu:
-                    unit.set_input(u[k])
-                unit.do_step(k * h, h)
-                seen[k] = unit.get(shown)
-        scale = np.max(np.abs(expected), axis=0)
-        # sums that cancel (a lossless system's supply, residuals) are rounding of the energies they are made of
-        energies = np.array([".energy" in f".{n}" for n in columns.names])
-        scale[energies] = max(scale[energies].max(), 1e-300)
-        constraints = np.array([n.startswith("constraint.") for n in columns.names])
-        scale[constraints] = np.maximum(scale[constraints], 1.0)
-        worst = np.max(np.abs(seen - expected) / np.where(scale > 0, scale, 1.0), axis=0)
-        assert np.max(worst, initial=0.0) <= 1e-11, columns.names[int(np.argmax(worst))]
+    (path,) = export(model, tmp_path, (version,), step=h)
+    assert validate_fmu(str(path)) == []
+    with FMUInstance(path) as unit:
+        seen = np.zeros_like(expected)
+        for k in range(STEPS):
+            if model.step.nu:
+                unit.set_input(u[k])
+            unit.do_step(k * h, h)
+            seen[k] = unit.get(shown)
+    scale = np.max(np.abs(expected), axis=0)
+    # sums that cancel (a lossless system's supply, residuals) are rounding of the energies they are made of
+    energies = np.array([".energy" in f".{n}" for n in columns.names])
+    scale[energies] = max(scale[energies].max(), 1e-300)
+    constraints = np.array([n.startswith("constraint.") for n in columns.names])
+    scale[constraints] = np.maximum(scale[constraints], 1.0)
+    worst = np.max(np.abs(seen - expected) / np.where(scale > 0, scale, 1.0), axis=0)
+    assert np.max(worst, initial=0.0) <= 1e-11, columns.names[int(np.argmax(worst))]

@@ -41,7 +41,7 @@ from phfmu.network.members.fmu_member import FMUMember
 from phfmu.signals import CONSTRAINT
 from tests.engines import BY_NAME
 from tests.network.test_node_exchange import damped, loaded, quartic_on_cosh
-from tests.wide import slow, wide
+from tests.wide import slow, turning, wide
 
 UNITS = {"fmi2": "2.0", "fmi3": "3.0"}
 MIXED = "native fmi3 python fmi2"
@@ -118,14 +118,18 @@ CASES = {
     "two_machine": Case(lambda: two_machine(t_fault=4e-4, t_clear=12e-4), 2e-4, 2e-3, (), ("bus1",)),
     "row": Case(scene_of(row_of_nodes), 1e-3, 0.008, (), ("bus1", "bus2")),
 }
-TABLE = [
-    pytest.param(name, kinds, k, marks=() if (kinds, k) in case.quick else pytest.mark.slow, id=f"{name}-{kinds}-{k}")
-    for name, case in CASES.items()
-    for kinds in KINDS
-    for k in (1, 2, 3)
-    if case.impulses
-    or not {*kinds.split()} & {*UNITS}  # a unit without impulses is exported like that: at k = 1 it is held
-]
+#: a scene with its kinds of members, and k
+TABLE = turning(
+    [
+        (name, kinds)
+        for name, case in CASES.items()
+        for kinds in KINDS
+        if case.impulses
+        or not {*kinds.split()} & {*UNITS}  # a unit without impulses is exported like that: at k = 1 it is held
+    ],
+    (1, 2, 3),
+    *(((name, kinds), k) for name, case in CASES.items() for kinds, k in case.quick),
+)
 
 
 @pytest.fixture(scope="module")
@@ -180,9 +184,10 @@ def states_differ(declaration: Any, one: Any, two: Any) -> float:
 
 
 @pytest.mark.usefixtures("compiler")
-@pytest.mark.parametrize(("name", "kinds", "k"), TABLE)
-def test_members_are_the_composed_model(coupled: Any, name: str, kinds: str, k: int) -> None:
+@pytest.mark.parametrize(("members", "k"), TABLE, ids=lambda v: "-".join(v) if isinstance(v, tuple) else str(v))
+def test_members_are_the_composed_model(coupled: Any, members: tuple[str, str], k: int) -> None:
     """Through events; joined currents sum to zero at step ends, and the books close."""
+    name, kinds = members
     case = CASES[name]
     scene = case.make()
     net: Any = scene.system

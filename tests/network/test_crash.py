@@ -19,7 +19,7 @@ import pytest
 from phfmu.audit import AuditWriter, read, recover, summarise
 from phfmu.cli import main
 from phfmu.runs.march import march
-from tests.wide import slow, wide
+from tests.wide import longer, slow, wide
 
 #: s of work at which a run is killed: in its first rows, behind LOST, and when blocks have grown
 MOMENTS = ((0.0, 0.3), (0.7, 1.0), (1.6, 2.2))
@@ -168,8 +168,7 @@ def test_recover_tells_where_the_table_is(
     assert str(left) not in str(pq.read_metadata("../a.parquet").metadata)  # not in a log that is passed on
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", RUNS)
+@pytest.mark.parametrize("kind", longer(RUNS, "native", "newton, native", "newton, fmu", "fmu", "adaptive"))
 def test_kill_at_any_time_loses_a_moment(started: Callable[[str], Started], kind: str, compiler: None) -> None:
     draw = random.Random(kind)
     for moment in MOMENTS:

@@ -277,7 +277,8 @@ class Newton:
         part[plan.matrix.row[plan.regularised]] = nominal
         column = np.repeat(np.arange(plan.nw), np.diff(plan.colptr))
         a = np.abs(self.evaluator.matrix(h))
-        terms = a * (size[column] + part[plan.matrix.row] * plan.nominal[column])
+        with np.errstate(invalid="ignore"):  # of a trial that ran away nothing counts as rounding
+            terms = a * (size[column] + part[plan.matrix.row] * plan.nominal[column])
         return np.finfo(float).eps * np.bincount(plan.matrix.row, terms, plan.nw)
 
     def _damping(self, w: Array, dw: Array, r: Array, fixed: Fixed) -> float:

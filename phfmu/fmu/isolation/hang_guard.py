@@ -6,6 +6,7 @@ Python's handlers of signals run between calls into libraries, so never while on
 
 from __future__ import annotations
 
+import atexit
 import os
 import signal
 import socket
@@ -35,6 +36,14 @@ def arm() -> None:
         return
     _armed.extend((heard, told))
     threading.Thread(target=_listen, args=(heard,), daemon=True).start()
+    atexit.register(_disarm)
+
+
+def _disarm() -> None:
+    """At the end of the process, whose interpreter would complain of sockets that are left open."""
+    signal.set_wakeup_fd(-1)
+    while _armed:
+        _armed.pop().close()
 
 
 def _listen(heard: socket.socket) -> None:
