@@ -129,7 +129,8 @@ def _network_text(
     landing: Landers | ComposedEvents | None,
 ) -> str:
     tables, rows = Tables(), []
-    together, composed = (landing if isinstance(landing, kind) else None for kind in (Landers, ComposedEvents))
+    together = landing if isinstance(landing, Landers) else None
+    composed = landing if isinstance(landing, ComposedEvents) else None
     externs = ""
     shares, natives = _filled(master, "ph_share"), iter(_filled(master, "ph_native"))
     for i, (share, member, port) in enumerate(zip(shares, members, ports, strict=True)):
@@ -147,16 +148,12 @@ def _network_text(
             what = f".model = &ph_member{i}, .ports = {'0' if port is None else f'&ph_ports{port}'}, .native = {n}"
             externs += f"extern const ph_model ph_member{i};\n"
             externs += "" if port is None else f"extern const ph_ports ph_ports{port};\n"
-            if composed:
-                pass
-            elif member.events is not None and together and i in together.members:
+            if member.events is not None and not composed:
                 externs += f"extern const ph_events ph_guards{i};\n"
-            elif member.events is not None:
-                externs += f"extern const ph_events ph_guards{i};\n"
-                what += f", .inside = &inside{i}"
-                tables.arrays.append(
-                    _inside(i, [of_member(whole.joined.members[i].name, n) for n in member.events.names])
-                )
+                if not (together and i in together.members):
+                    what += f", .inside = &inside{i}"
+                    names = [of_member(whole.joined.members[i].name, n) for n in member.events.names]
+                    tables.arrays.append(_inside(i, names))
         tables.arrays.append(_rooms(f"rooms{i}", [*own, *more]))
         rows.append(
             f"    {{{what},\n     .share = {s},\n"
