@@ -23,7 +23,7 @@ from phfmu.outcome.status import Status, StepFailure, remedy
 from phfmu.schemes.scheme import Scheme
 from phfmu.terms.canonical import components
 from phfmu.terms.extraction.extract import extract
-from phfmu.terms.hidden import Hidden, Level
+from phfmu.terms.hidden import HiddenConstraints, Level
 from phfmu.terms.rows import costate_symbols, flow_expressions
 from phfmu.terms.term import CONSTRAINT
 
@@ -177,7 +177,7 @@ def moving(model: PHDAE) -> list[Problem]:
     if not any(p.source is not None and ca.depends_on(ca.SX(_sx(p.source)), time) for p in model.ports):
         return []
     terms = extract(model)
-    holonomic, hidden = {t.rows[0].index for t in terms.of(CONSTRAINT)}, terms.found(Hidden)
+    holonomic, hidden = {t.rows[0].index for t in terms.of(CONSTRAINT)}, terms.found(HiddenConstraints)
     checks, rows = set(hidden.checks) - holonomic, sorted(hidden.rows)
     if not checks:
         return []

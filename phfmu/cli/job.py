@@ -32,9 +32,9 @@ from phfmu.target import is_fmu
 if TYPE_CHECKING:
     from phfmu.declare.phdae import PHDAE
     from phfmu.fmu.importer.unit_file import UnitFile
-    from phfmu.network.couplings.choice.apart import Apart
-    from phfmu.network.couplings.choice.named import Named
-    from phfmu.network.couplings.signals.held_signals import SignalExchange
+    from phfmu.network.couplings.choice.coupling_choice import NamedCoupling
+    from phfmu.network.couplings.choice.partitioned_network import PartitionedNetwork
+    from phfmu.network.couplings.signals.sampled_signals import SignalExchange
     from phfmu.network.couplings.stepper import Stepper
     from phfmu.network.members.member import Member
     from phfmu.network.members.rollback import Rollback
@@ -191,7 +191,7 @@ class _Members:
 
     args: argparse.Namespace
     network: Network
-    coupling: Named
+    coupling: NamedCoupling
     schemes: Mapping[str, Scheme]
     stepping: Stepping
     step: float
@@ -201,13 +201,13 @@ class _Members:
     steps: float
 
     @cached_property
-    def whole(self) -> Apart:
+    def whole(self) -> PartitionedNetwork:
         """The exchange of members; those that handle events in themselves land alone."""
-        from phfmu.network.couplings.choice.apart import Apart
+        from phfmu.network.couplings.choice.partitioned_network import PartitionedNetwork
 
         engine, parts = self.stepping.engine_of, self.stepping.parts_of
         inside = [n for n, s in self.schemes.items() if engine(n) == "fmu" or parts(n) > 1 or not s.node_values]
-        return Apart(self.network, inside)
+        return PartitionedNetwork(self.network, inside)
 
     @cached_property
     def held(self) -> Any:
@@ -260,9 +260,9 @@ class _Members:
 def apart(
     args: argparse.Namespace, s: Scene, declared: Network, name: str, why: list[str], tried: Mapping[str, Rollback]
 ) -> Job:
-    from phfmu.network.couplings.choice.apart import circling_units, held_wires
+    from phfmu.network.couplings.choice.coupling_choice import named_coupling
     from phfmu.network.couplings.choice.gathered import composed_words
-    from phfmu.network.couplings.choice.named import named_coupling
+    from phfmu.network.couplings.choice.partitioned_network import circling_units, held_wires
 
     sequence = args.sequence and [name.strip() for name in args.sequence.split(",")]
     network = _gathered(args, declared)
@@ -299,7 +299,7 @@ def apart(
 
 def _kept(members: _Members, exchange: SignalExchange | None) -> tuple[float, list[str]]:
     """The order that the members keep together at most, and which of them take held inputs; `exchange`: of held signals."""
-    from phfmu.network.couplings.signals.held_signals import ORDER_OF_EVENTS, ORDERS
+    from phfmu.network.couplings.signals.sampled_signals import ORDER_OF_EVENTS, ORDERS
 
     network, coupling, whole = members.network, members.coupling, members.whole
     of_signals = min(inf if exchange is None else ORDERS[exchange], ORDER_OF_EVENTS if whole.events_by_signals else inf)
@@ -368,7 +368,7 @@ def _signals(
 
 
 def _most(
-    coupling: Named, schemes: Iterable[Scheme], units: Iterable[UnitFile], signals: float, held: Sequence[str]
+    coupling: NamedCoupling, schemes: Iterable[Scheme], units: Iterable[UnitFile], signals: float, held: Sequence[str]
 ) -> float:
     """The order that members stepped apart keep together at most; `signals`: that of what is held between them.
 
@@ -381,7 +381,7 @@ def _most(
     return min(coupling.order, signals)
 
 
-def _order_lost(asked: int | None, coupling: Named, most: float, why: list[str]) -> list[str]:
+def _order_lost(asked: int | None, coupling: NamedCoupling, most: float, why: list[str]) -> list[str]:
     """A line if the coupling does not keep the order that was asked for, and lines that say why."""
     if asked is None or asked <= most:
         return []
@@ -481,7 +481,7 @@ def _tried(args: argparse.Namespace, s: Scene) -> dict[str, Rollback]:
     """Whether units can take steps back, where the coupling may ask it of them."""
     if not s.units:
         return {}
-    from phfmu.network.couplings.choice.named import repeats
+    from phfmu.network.couplings.choice.coupling_choice import repeats
 
     if not repeats(args.coupling):
         return {}
@@ -492,7 +492,7 @@ def _tried(args: argparse.Namespace, s: Scene) -> dict[str, Rollback]:
 
 def _coupling(args: argparse.Namespace, s: Scene, stuck: Mapping[str, str]) -> tuple[CouplingRow, list[str]]:
     """The coupling asked for, or the one that fits and the line that says why; one model without a word if nobody asked."""
-    from phfmu.network.couplings.choice.auto import choose
+    from phfmu.network.couplings.choice.coupling_choice import choose
     from phfmu.network.network import Network
 
     if args.coupling not in (None, AUTO.name):

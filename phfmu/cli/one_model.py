@@ -81,7 +81,7 @@ def members_apart(args: argparse.Namespace, coupling: str) -> MembersApart:
     from phfmu.cli.options import scheme_of
     from phfmu.cli.stepping import engine_of, instance_of
     from phfmu.discretise.model import build_model
-    from phfmu.network.couplings.choice.named import named_coupling
+    from phfmu.network.couplings.choice.coupling_choice import named_coupling
     from phfmu.network.couplings.coupled import Coupled
     from phfmu.network.members.engine_member import EngineMember
     from phfmu.network.members.unit_member import unit_member

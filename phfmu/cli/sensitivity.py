@@ -37,10 +37,10 @@ def require_equal_steps(args: argparse.Namespace, engine: str) -> None:
 def sensitive(args: argparse.Namespace, model: Model, instance: Any) -> SensitiveSteps:
     """The model stepped with derivatives of the columns that --signals keeps."""
     from phfmu.derivatives.sensitive import SensitiveSteps
-    from phfmu.network.members.columns import Columns
+    from phfmu.network.members.columns import SignalColumns
     from phfmu.pick import pick
 
-    names = Columns(model, instance.layout).names
+    names = SignalColumns(model, instance.layout).names
     chosen = pick(args.signals, names, args.target) if args.signals else None
     return SensitiveSteps(model, instance, names_of(args), chosen)
 

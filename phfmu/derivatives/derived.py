@@ -24,7 +24,7 @@ from phfmu.network.couplings.stepper import Landing
 from phfmu.network.members.inputs import Inputs
 from phfmu.network.scene import Event
 from phfmu.outcome.limits import LIMITS
-from phfmu.outcome.steps import Happened, Landed, StepEvent, Steps
+from phfmu.outcome.steps import EventRecord, Landed, StepEvent, Steps
 from phfmu.schemes.scheme import Scheme
 
 Array = NDArray[np.float64]
@@ -123,7 +123,7 @@ class DerivedSteps(Monolithic):
         self._last: Array | None = None
         maps = None if model.events is None else EventMaps(model, model.events, self.by.directions)
         #: derivatives of state events, and those that happened
-        self.maps, self.met = maps, list[Happened]()
+        self.maps, self.met = maps, list[EventRecord]()
         self._maps_of: dict[Mode | None, EventMaps | None] = {None: maps}
         #: of entering modes, None without ideal switches
         self.entry = None if model.modes is None else ModeEntry(model.modes.modes, self.by.directions)

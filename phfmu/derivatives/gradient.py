@@ -27,7 +27,7 @@ from phfmu.derivatives.taped import MEMORY, TapedSteps
 from phfmu.discretise.model import Model
 from phfmu.engine.native.native import NativeInstance
 from phfmu.network.couplings.coupled import Coupled
-from phfmu.network.members.columns import Columns
+from phfmu.network.members.columns import SignalColumns
 from phfmu.network.network import Network
 from phfmu.runs.loop import run
 from phfmu.runs.options import Options
@@ -162,7 +162,7 @@ def measured(stepper: Forward | Backwards, options: Options, of: Sequence[RunMea
 
 def told_by(model: Model | Network, instance: Any) -> list[str]:
     """The columns of a run."""
-    return instance.names if isinstance(instance, Coupled) else Columns(_model(model), instance.layout).names
+    return instance.names if isinstance(instance, Coupled) else SignalColumns(_model(model), instance.layout).names
 
 
 def forward_of(model: Model | Network, instance: Any, by: Sequence[str], signals: Sequence[str]) -> Forward:

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from phfmu.derivatives.by import Directions
 from phfmu.engine.build.machine_code import compiled
-from phfmu.plan.buffered import Buffered
+from phfmu.plan.buffered import BufferedFunction
 from phfmu.plan.plan import Group, Plan
 
 Array = NDArray[np.float64]
@@ -290,7 +290,7 @@ class Mapped:
 
     def __init__(self, arguments: list[ca.SX], results: list[ca.SX]):
         self._function = ca.Function("at", arguments, ca.cse([ca.SX(r) for r in results]))
-        self._buffers: dict[int, Buffered] = {}
+        self._buffers: dict[int, BufferedFunction] = {}
         self._points, self._worth = 0, self._function.n_instructions() >= LONG
 
     def at(self, given: Sequence[Array], some: slice = ALL) -> list[Matrices]:
@@ -318,12 +318,12 @@ class Mapped:
             matrices.append(Matrices(sparsity.shape, row, col, values))
         return matrices
 
-    def _buffer(self, n: int) -> Buffered:
+    def _buffer(self, n: int) -> BufferedFunction:
         """The function mapped over n points."""
         if n not in self._buffers:
             f = self._function
             argument = [np.zeros((n, f.nnz_in(i))) for i in range(f.n_in())]
-            self._buffers[n] = Buffered(f, argument, [np.zeros((n, f.nnz_out(i))) for i in range(f.n_out())])
+            self._buffers[n] = BufferedFunction(f, argument, [np.zeros((n, f.nnz_out(i))) for i in range(f.n_out())])
         return self._buffers[n]
 
 

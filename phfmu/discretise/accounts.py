@@ -46,7 +46,7 @@ class Accounts:
 
     @staticmethod
     def of(members: Iterable[str]) -> Accounts | None:
-        """None where no term has an account."""
+        """The accounts among these members, None if no term has one."""
         names = list(members)
         first = tuple(i for i, name in enumerate(names) if ACCOUNT not in name)
         if len(first) == len(names):
@@ -64,7 +64,7 @@ class Accounts:
 
 
 def by_term(declaration: PHDAE) -> PHDAE:
-    """The same model with an account for each energy and each part of R.
+    """The model with an account for each energy and each part of R.
 
     H(p), H(q[1..3]) by the states of an energy, R(Ra) by the parameters of a part of R or, without any, the variables it
     acts on; what has one name in a component is one account.
@@ -98,7 +98,7 @@ def _names(symbols: Iterable[tuple[str, ca.SX]]) -> dict[int, str]:
 
 
 def _among(expr: ca.SX, names: dict[int, str]) -> list[str]:
-    """Those names whose symbols an expression has, in their order."""
+    """Names whose symbols an expression has, in their order."""
     there = {s.element_hash() for s in ca.symvar(expr)}
     return [name for key, name in names.items() if key in there] or ["constant"]
 

@@ -1,4 +1,4 @@
-"""What of H is constant: the energy of each summand that no state enters, by component.
+"""The constant part of H: the energy of each summand that no state enters, by component.
 
 A ledger is judged against the energies that vary; beside a constant of 1e12 J the rounding of H would hide what is made.
 """
@@ -38,12 +38,12 @@ class Constants:
         return frozenset(on_zero[1]) | {j for i, j in zip(*on_start, strict=True) if lost[i]}
 
     def booked(self, p: NDArray[np.float64]) -> tuple[float, ...]:
-        """As `at`, by the components that are booked."""
+        """The constant part of H [J] for these parameters, by the components that are booked; () if it is zero."""
         held = self.at(p)
         return held if self._accounts is None or not held else tuple(self._accounts.folded(np.array(held)).tolist())
 
     def at(self, p: NDArray[np.float64]) -> tuple[float, ...]:
-        """For these parameters [J]; () where nothing is."""
+        """The constant part of H [J] for these parameters, by component; () if it is zero."""
         zero, start = (np.array(values).ravel() for values in self._values(p))
         value = np.where(np.isfinite(zero), zero, np.where(np.isfinite(start), start, 0.0))
         found = np.bincount(self._owner, value, self._count)

@@ -14,11 +14,11 @@ from phfmu.declare.variable import Value
 from phfmu.discretise.instant_kernels import RATE, InstantKernels
 from phfmu.plan.layout import Layout
 from phfmu.plan.plan import Plan
-from phfmu.plan.planner import Maps, make_plan
+from phfmu.plan.planner import SchemeMaps, make_plan
 from phfmu.plan.spec import Spec
 from phfmu.plan.unknown import ALGEBRAIC, COSTATE, INCREMENT, of_algebraics, of_states
 from phfmu.schemes.scheme import node_holds
-from phfmu.terms.hidden import Check, Hidden, Level, variable_at
+from phfmu.terms.hidden import Check, HiddenConstraints, Level, variable_at
 from phfmu.terms.located import Row, ValueAt
 from phfmu.terms.term import (
     CONSTRAINT,
@@ -31,7 +31,7 @@ def instant_plan(terms: Terms, rests: bool = True) -> tuple[Plan, list[Check], L
 
     `rests`: redundant constraints may rest.
     """
-    hidden, solved = terms.found(Hidden), terms.solved_costates()
+    hidden, solved = terms.found(HiddenConstraints), terms.solved_costates()
     if hidden.rows and solved:
         raise DeclarationError(
             terms.model.name,
@@ -58,12 +58,12 @@ def instant_plan(terms: Terms, rests: bool = True) -> tuple[Plan, list[Check], L
         work.append((term, cache[key]))
     mean = [(i, layout.at(ALGEBRAIC, i), 1.0, 0) for i in range(terms.na)]
     guess = [[(w, 1.0, 0)] for w in range(layout.nw)]
-    maps = Maps([], mean, guess, np.ones(1), np.full(1, 0.5))
+    maps = SchemeMaps([], mean, guess, np.ones(1), np.full(1, 0.5))
     hold = node_holds(layout) if rests else None
     return make_plan(layout, work, _constants(layout, hidden), maps, hold), checks, layout
 
 
-def _constants(layout: Layout, hidden: Hidden) -> list[tuple[int, int, float, int]]:
+def _constants(layout: Layout, hidden: HiddenConstraints) -> list[tuple[int, int, float, int]]:
     terms, out = layout.terms, []
     other = terms.with_descriptor()
     if hidden.rows:

@@ -15,7 +15,7 @@ from phfmu.plan.layout import Layout
 from phfmu.plan.spec import Arguments, Result, Spec
 from phfmu.plan.unknown import Role
 from phfmu.schemes.constraints.velocities import force, velocity_costate, velocity_increment
-from phfmu.terms.hidden import Hidden, rates
+from phfmu.terms.hidden import HiddenConstraints, rates
 from phfmu.terms.located import Row
 from phfmu.terms.term import CLOSED, CONSTRAINT, EMPTY, ENERGY, FLOW, JOINT, MASS, MASS_BLOCK, OBSERVABLE, SOURCE, Term
 from phfmu.terms.velocities import velocity_of
@@ -74,7 +74,7 @@ def position_check(layout: Layout, term: Term, j: int, node: int) -> int:
 class InstantKernels:
     """Kernels of the instant plan."""
 
-    hidden: Hidden
+    hidden: HiddenConstraints
     bound: dict[int, int]
 
     @property

@@ -20,10 +20,9 @@ from phfmu.declare.entries.alike import first_alike
 from phfmu.declare.entries.starts import starts
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.phdae import PHDAE, require_declaration
-from phfmu.declare.variable import Variable, _sx
+from phfmu.declare.variable import Variable, _sx, time
 from phfmu.discretise.instant import instant_plan
 from phfmu.discretise.onestep import step_plan
-from phfmu.discretise.scales import check_scales
 from phfmu.events.event_plan import EventPlan, event_plan
 from phfmu.events.modes import Mode, Modes
 from phfmu.events.polynomial import Polynomial
@@ -36,6 +35,7 @@ from phfmu.schemes.two_level import TwoLevel
 from phfmu.terms.extraction.extract import extract
 from phfmu.terms.hidden import Check
 from phfmu.terms.rank import at_start, hold_names
+from phfmu.terms.rows import check_rows
 from phfmu.terms.term import Terms
 
 M = TypeVar("M")
@@ -164,7 +164,7 @@ def _shared(declaration: PHDAE, scheme: Scheme) -> Model:
 
 
 def _planned_at_start(model: Model) -> bool:
-    """Whether start values decide something of the plans: what rests, which impulses fit, what is regular."""
+    """True if start values decide something of the plans: what rests, which impulses fit, what is regular."""
     d = model.declaration
     diagonal = all(isinstance(v, Variable) and ca.SX(_sx(m)).sparsity().is_diag() for v, m in d.E.items())
     return bool(d.constraints or d.closed or model.checks or not diagonal)
@@ -194,6 +194,20 @@ def _events(declaration: PHDAE, joint: bool) -> Callable[[Polynomial], EventPlan
     return event_plan(_terms(declaration, joint))
 
 
+def _check_scales(terms: Terms, checks: list[Check], x0: Array, p0: Array) -> Array:
+    """Natural size of each check: the sum over states of |d check / d x| times the larger of nominal and start."""
+    if not checks:
+        return np.zeros(0)
+    model = terms.model
+    nominal = np.array([v.nominal[j] for v in model.states for j in range(v.n)])
+    size = np.maximum(nominal, np.abs(x0))
+    parameters = ca.vertcat(*(p.sx for p in model.parameters))
+    rows = check_rows(terms, checks)
+    jac = ca.Function("j", [model.x, parameters, time], [ca.jacobian(ca.vertcat(*rows), model.x)])
+    sizes = ca.fabs(jac(x0, p0, 0.0)) @ size  # sparse: rows x states would not fit for large models
+    return np.array(sizes).ravel() + 1e-300
+
+
 @resting()
 def _discretised(declaration: PHDAE, scheme: Scheme, lands: bool) -> Model:
     terms = _terms(declaration, scheme.joint)
@@ -202,7 +216,7 @@ def _discretised(declaration: PHDAE, scheme: Scheme, lands: bool) -> Model:
     own = _starts(declaration)
     return Model(
         declaration.name, declaration, scheme, step, instant, **own,
-        checks=tuple(checks), check_scale=check_scales(terms, checks, own["x0"], own["p0"]), row_names=tuple(layout.names()),
+        checks=tuple(checks), check_scale=_check_scales(terms, checks, own["x0"], own["p0"]), row_names=tuple(layout.names()),
         instant_names=tuple(instant_layout.names()), members=tuple(terms.members),
         observable_names=tuple(terms.observable_names), hold_names=hold_names(terms) if len(step.hold) else (),
         events=_events(declaration, scheme.joint)(Polynomial(layout, scheme.nodes, scheme.maps(layout))) if lands else None,
@@ -221,7 +235,7 @@ def require_model(item: Any, what: str) -> Model:
 
 
 def takes_model(function: Callable[Concatenate[Model, P], R]) -> Callable[Concatenate[Model, P], R]:
-    """`function`, whose first argument is a model: TypeError with the remedy for any other, whatever follows it."""
+    """The function with a check of its first argument: TypeError with the remedy if that is no model."""
 
     @wraps(function)
     def checked(model: Model, *args: P.args, **kwargs: P.kwargs) -> R:

@@ -68,7 +68,7 @@ class Projection:
 
 
 def _move(name: str, before: float, after: float) -> str:
-    """With as many digits as tell the two values apart."""
+    """The change of a state as text, with as many digits as tell the two values apart."""
     pairs = ((f"{before:.{digits}g}", f"{after:.{digits}g}") for digits in (9, 13, 17))
     a, b = next((a, b) for a, b in pairs if a != b)
     return f"{name}: {a} -> {b}"
@@ -120,7 +120,7 @@ def start_tangents(model: Model, x: Array, p: Array, t: float, dx: Array, dp: Ar
     return along
 
 
-def _levels(model: Model, rows: _Constraints, kept: NDArray[np.bool_]) -> tuple[_Level, _Level]:
+def _levels(model: Model, rows: _Constraints, kept: NDArray[np.bool_]) -> tuple[_LevelRows, _LevelRows]:
     """Positions, then velocities; without the states that are kept."""
     level = np.array([c.level for c in model.checks])
     positions = rows.pattern[level == Level.POSITION].any(axis=0)
@@ -128,12 +128,12 @@ def _levels(model: Model, rows: _Constraints, kept: NDArray[np.bool_]) -> tuple[
     scale = np.where(nominal != 0, np.abs(nominal), 1.0)
     reached = moved_by_impulses(rows.terms) & ~positions
     return (
-        _Level(level == Level.POSITION, positions & ~kept, scale, False),
-        _Level(level == Level.VELOCITY, reached & ~kept, scale, True),
+        _LevelRows(level == Level.POSITION, positions & ~kept, scale, False),
+        _LevelRows(level == Level.VELOCITY, reached & ~kept, scale, True),
     )
 
 
-def _placed(rows: _Constraints, x: Array, part: _Level, kept: NDArray[np.bool_], names: list[str]) -> Array:
+def _placed(rows: _Constraints, x: Array, part: _LevelRows, kept: NDArray[np.bool_], names: list[str]) -> Array:
     """x on the constraints of a level; DeclarationError if they cannot be met."""
     now = _projected(rows, x, part)
     _require(rows, now, part, [names[i] for i in np.flatnonzero(kept)], names)
@@ -196,7 +196,7 @@ class _Constraints:
         return self._at(2, x).ravel()
 
     def forces(self, x: Array) -> Array:
-        """A^T dz/dx, rows x states: what an impulse acts against; the coefficients A stay as they are."""
+        """A^T dz/dx, rows x states, against which an impulse acts; the coefficients A stay as they are."""
         return self._at(4, x)
 
     def work(self, start: Array, end: Array) -> Array:
@@ -213,7 +213,7 @@ class _Constraints:
 
 
 @dataclass(frozen=True)
-class _Level:
+class _LevelRows:
     """Rows of one level and the states that may move for them; `energetic`: least in H'', else relative to `scale`."""
 
     rows: NDArray[np.bool_]
@@ -231,7 +231,7 @@ class _Level:
         return [(rows[of_row == i], states[of_state == i]) for i in np.unique(of_row)]
 
 
-def _projected(f: _Constraints, x: Array, level: _Level) -> Array:
+def _projected(f: _Constraints, x: Array, level: _LevelRows) -> Array:
     """x with the violated parts of a level projected."""
     if not level.rows.any() or not level.free.any():
         return x
@@ -281,8 +281,8 @@ def _least(metric: Array, jac: Array, c: Array, scale: Array) -> Array:
     return d
 
 
-def _require(f: _Constraints, x: Array, level: _Level, kept: list[str], names: list[str]) -> None:
-    """DeclarationError with the equations of a level that do not hold at x, and why where that is clear."""
+def _require(f: _Constraints, x: Array, level: _LevelRows, kept: list[str], names: list[str]) -> None:
+    """Raise DeclarationError with the equations of a level that do not hold at x, and the reason where that is clear."""
     values, rows = f.values(x), level.rows
     bad = [i for i in np.flatnonzero(rows) if not abs(values[i]) <= CONSISTENCY * f.size[i]]
     if not bad:

@@ -117,7 +117,7 @@ class Ports:
         return np.array([start, end])
 
     def require_none(self, s: Array) -> None:
-        """ValueError if there are impulses, for many steps at once."""
+        """Raise ValueError if there are impulses, for many steps at once."""
         if s.any():
             raise ValueError(f"{self.name}: impulses belong to single steps (do_step); set them to 0 before run")
 
@@ -126,7 +126,7 @@ class Ports:
         return [name for p in self._model.ports if p.external for name in p.input_names()]
 
 
-class Kicks:
+class PythonImpulses:
     """Impulses on the state of a Python instance; the twin of runtime/impulses.c."""
 
     def __init__(self, ports: Ports):
@@ -170,7 +170,7 @@ class Kicks:
         return self._along(s.x_old, s.p, np.zeros(self.ports.kernels.n), dx, ds)
 
     def end_along(self, s: State, dx: Array, ds: Array) -> Array:
-        """The same for the impulse at its end; the state there is the present one."""
+        """Directions of the states after the impulse at the end of the last step; the state there is the present one."""
         return self._along(s.x, s.p, s.impulses_old[1], dx, ds)
 
     def _along(self, x: Array, p: Array, s: Array, dx: Array, ds: Array) -> Array:

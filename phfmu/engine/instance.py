@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from phfmu.engine.model import Model, require_built, require_one_mode
+from phfmu.engine.model import EngineModel, require_built, require_one_mode
 from phfmu.engine.record import Grid, recordable
-from phfmu.outcome.steps import Happened, Landed
+from phfmu.outcome.steps import EventRecord, Landed
 
 if TYPE_CHECKING:
     from phfmu.engine.impulses import Ports
@@ -23,7 +23,7 @@ Array = NDArray[Any]
 
 
 class Signals(ABC):
-    """Base of whatever tells its values by block."""
+    """Base of the classes that tell their values by block."""
 
     @abstractmethod
     def signals(self) -> dict[str, Array]:
@@ -57,12 +57,12 @@ class Instance(Signals):
 
     _ports: Ports
 
-    def __init__(self, model: Model) -> None:
+    def __init__(self, model: EngineModel) -> None:
         require_built(model, type(self).__name__)
         require_one_mode(model)
         self.model = model
         #: state events of the last `do_step` or `run`
-        self.happened: tuple[Happened, ...] = ()
+        self.happened: tuple[EventRecord, ...] = ()
 
     # -- readings ------------------------------------------------------------------------------------------------------
 
@@ -82,7 +82,7 @@ class Instance(Signals):
     @property
     @abstractmethod
     def solves(self) -> int:
-        """In how many parts the last step was solved; 0: none, or more than are known."""
+        """Number of parts in which the last step was solved; 0: none, or more than are known."""
 
     @property
     @abstractmethod
@@ -140,11 +140,11 @@ class Instance(Signals):
 
     @abstractmethod
     def set_state(self, state: Any) -> None:
-        """Restores what `get_state` gave."""
+        """Restores a state that `get_state` gave."""
 
     @abstractmethod
     def restore(self, state: Any) -> None:
-        """`set_state`; the counts of what the solver did go on."""
+        """Restores a state as `set_state` does; the counts of the solver go on."""
 
     @abstractmethod
     def set_x(self, t: float, x: ArrayLike) -> None:
@@ -226,7 +226,7 @@ class Instance(Signals):
 
     @abstractmethod
     def skip(self, t: float) -> None:
-        """To the time t in a step too short to be one: state, multipliers and means stay, nothing is booked."""
+        """Move to the time t in a step too short to be one: state, multipliers and means stay, nothing is booked."""
 
     @abstractmethod
     def step_exactly(self, t: float, h: float, parts: int = 1) -> None:

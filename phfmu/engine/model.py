@@ -16,7 +16,7 @@ from phfmu.plan.plan import Kernel, Plan
 Floats = NDArray[np.float64]
 
 
-class Model(Protocol):
+class EngineModel(Protocol):
     """Two plans and the start values: `step` advances the state by h, `instant` gives the values at one time.
 
     Starts x0 (nx), a0 (na), u0 (nu), p0 (np) in SI units, t0 in s.  Both plans share states, inputs,
@@ -52,13 +52,13 @@ class Model(Protocol):
     def instant_names(self) -> tuple[str, ...]: ...
 
 
-def kernels(model: Model) -> list[Kernel]:
+def kernels(model: EngineModel) -> list[Kernel]:
     """Kernels of both plans, then of the state events, in order of appearance; an object may appear more than once."""
     more = [] if model.events is None else model.events.kernels
     return [*(g.kernel for plan in (model.step, model.instant) for g in plan.groups), *more]
 
 
-def first(model: Model) -> Model | None:
+def first(model: EngineModel) -> EngineModel | None:
     """The model whose plans it shares; None: they are its own, as are those of models made by hand or changed by `replace`."""
     found = getattr(model, "first", None)
     shared = found is not None and all(getattr(found, n) is getattr(model, n) for n in ("step", "instant", "events"))
@@ -66,7 +66,7 @@ def first(model: Model) -> Model | None:
 
 
 def require_built(model: object, engine: str) -> None:
-    """TypeError with the remedy for what only leads to a model."""
+    """Raise TypeError with the remedy if `model` is a declaration, or a name or file of one."""
     if isinstance(model, PHDAE | str | PathLike):
         shown = f"{type(model).__name__} {str(getattr(model, 'name', model))[:60]!r}"
         how = (
@@ -77,16 +77,16 @@ def require_built(model: object, engine: str) -> None:
         raise TypeError(f"{engine} takes a model, got the {shown}; build it: {how}")
 
 
-def require_one_mode(model: Model) -> None:
-    """ValueError for a model with switches, of which an instance steps one mode only."""
+def require_one_mode(model: EngineModel) -> None:
+    """Raise ValueError for a model with switches, of which an instance steps one mode only."""
     if getattr(model, "modes", None) is not None:  # models made by hand have none
         raise ValueError(
             f"{model.name} has switches: SwitchedInstance(model, NativeInstance) steps it in all its modes"
         )
 
 
-def require_no_landing(model: Model) -> None:
-    """Refusal of the Python engine for a model with state events or ideal switches, on which compiled code alone lands."""
+def require_no_landing(model: EngineModel) -> None:
+    """Raise Refusal for a model with state events or ideal switches, on which compiled code alone lands."""
     modes = getattr(model, "modes", None)
     if modes is not None:
         what, names = "switches", [s.name for s in modes.modes.switches]

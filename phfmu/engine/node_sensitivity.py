@@ -1,4 +1,4 @@
-"""How the outputs of a step follow its inputs at the nodes and its impulses: what a master's Newton method needs of a member."""
+"""Sensitivity of the outputs of a step to its inputs at the nodes and its impulses, for the Newton method of a master."""
 
 from __future__ import annotations
 
@@ -47,5 +47,5 @@ def directions(plan: Plan, inputs: Sequence[int], impulses: int = 0) -> tuple[Ar
 
 
 def columns(plan: Plan, dy: Array, dx: Array, end: Array | None) -> NodeSensitivity:
-    """From rows of directions to columns of a matrix."""
+    """The sensitivity whose columns are rows of directions."""
     return NodeSensitivity(np.moveaxis(dy, 0, -1), dx[:, : plan.nx].T, None if end is None else end.T)

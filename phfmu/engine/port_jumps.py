@@ -1,4 +1,4 @@
-"""Jumps of a model together with impulses at its ports: what one member gives to a jump that several share.
+"""Jumps of a model together with impulses at its ports, the part of one member in a jump that several share.
 
     x+ = x- + L [m, s, r],   c = L^T grad H,   S = L^T H'' L
 
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from phfmu.declare.entries.alike import first_alike
 from phfmu.declare.phdae import PHDAE
 from phfmu.engine.impulses import port_kernels
-from phfmu.events.impulse import Columns
+from phfmu.events.impulse import ImpulseColumns
 from phfmu.events.jump_columns import jump_columns
 from phfmu.terms.canonical import components
 from phfmu.terms.extraction.extract import extract
@@ -41,14 +41,14 @@ class JumpKernel:
     couples: tuple[frozenset[int], ...]
     function: ca.Function
 
-    def columns(self, x: Array, p: Array) -> Columns:
-        """As they are at the states x with the parameters p."""
+    def columns(self, x: Array, p: Array) -> ImpulseColumns:
+        """The columns at the states x with the parameters p."""
         c, L, S, e = (np.array(v) for v in self.function(x, p))
-        return Columns(L, c, S, e.ravel())
+        return ImpulseColumns(L, c, S, e.ravel())
 
 
 def jump_kernel(model: PHDAE) -> JumpKernel | None:
-    """The same for all models that are alike; None where nothing of it jumps.  DeclarationError as of `jump_columns`."""
+    """The kernel, one for all models that are alike; None if nothing of them jumps.  DeclarationError as of `jump_columns`."""
     return _jump_kernel(first_alike(model))
 
 

@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.outcome.status import StepFailure
-from phfmu.outcome.steps import Happened
+from phfmu.outcome.steps import EventRecord
 from phfmu.words import meant
 
 Array = NDArray[Any]
 
-#: what there is: the whole signal table, parts of it, and ledger rows and counters of each step
+#: records that there are: the whole signal table, parts of it, and ledger rows and counters of each step
 RECORD: tuple[str, ...] = (
     "signals",
     "x",
@@ -34,7 +34,7 @@ RECORD: tuple[str, ...] = (
 ALL = f"there are: {', '.join(RECORD)}"
 #: recorded name -> block of signals
 BLOCKS = {"a": "a", "y_step": "y_step", "energy": "H"}
-#: what is solved for at the end of a step, which may fail
+#: records that are solved for at the end of a step, which may fail
 PRESENT = {"signals", "energy"}
 
 
@@ -78,13 +78,13 @@ def recorded(instance: Any, before: Mapping[str, int], names: Iterable[str]) -> 
 
 def step_by_step(
     instance: Any, grid: Grid, names: tuple[str, ...], inputs: Array | None
-) -> tuple[dict[str, Array], tuple[Happened, ...]]:
+) -> tuple[dict[str, Array], tuple[EventRecord, ...]]:
     """`run` of an instance by its `do_step`, and what happened; StepFailure has the rows before it.
 
     A step whose end values are recorded and do not exist is not taken.
     """
     rows: dict[str, list[Array]] = {name: [] for name in names}
-    found: list[Happened] = []
+    found: list[EventRecord] = []
     for i in range(grid.n):
         if inputs is not None:
             (instance.set_input if inputs.ndim == 2 else instance.set_node_inputs)(inputs[i])

@@ -17,7 +17,7 @@ from phfmu.engine.reference.python import PythonInstance
 from phfmu.events.modes import Mode
 from phfmu.outcome.limits import is_sliver
 from phfmu.outcome.status import StepFailure
-from phfmu.outcome.steps import Happened, Landed
+from phfmu.outcome.steps import EventRecord, Landed
 
 if TYPE_CHECKING:
     from phfmu.engine.native.native_modes import NativeModes
@@ -53,11 +53,11 @@ class SwitchedInstance(Signals):
         #: called with each instance that is made
         self.made: Callable[[Any], None] | None = None
         #: state events of the last `do_step`
-        self.happened: tuple[Happened, ...] = ()
+        self.happened: tuple[EventRecord, ...] = ()
 
     @property
     def kernels(self) -> str:
-        """How those of the present mode run: compiled or interpreted."""
+        """The form of the kernels of the present mode: compiled or interpreted."""
         return self.present.kernels
 
     @property
@@ -80,7 +80,7 @@ class SwitchedInstance(Signals):
 
     @property
     def instances(self) -> list[Any]:
-        """Those of the modes that came up so far."""
+        """Instances of the modes that came up so far."""
         return list(self._instances.values())
 
     def _entered(self, mode: Mode) -> Any:
@@ -122,7 +122,7 @@ class SwitchedInstance(Signals):
         return self._asked != self._mode or not self._started
 
     def settle(self) -> None:
-        """Takes the modes that were set as they are: what they ask for was decided elsewhere, with the state."""
+        """Accept the modes that were set as they are: the impulses they need were decided elsewhere, with the state."""
         p = self.parameters
         self._entered(self._asked).set_parameters(p)
         self._mode, self._started = self._asked, True
@@ -199,7 +199,7 @@ class SwitchedInstance(Signals):
         return self._models.modes.system.in_mode(self.present.parameters, self._asked)
 
     def set_parameters(self, p: ArrayLike) -> None:
-        """All parameters (np).  Modes among them change at the next landing, where what that loses is booked."""
+        """Set all parameters (np).  Modes among them change at the next landing, where the loss of that is booked."""
         values, system = np.asarray(p, float), self._models.modes.system
         self._asked = tuple(int(values[i]) for i in system.places)
         self.present.set_parameters(system.in_mode(values, self._mode))
@@ -260,7 +260,7 @@ class SwitchedInstance(Signals):
         return self._shown(block, self.present.signal(block))
 
     def _shown(self, block: str, found: Array) -> Array:
-        """A block without what only the mode has."""
+        """A block without the values that only the mode has."""
         return found[: len(self.model.observable_names)] if block == "observables" else found
 
     def get_state(self) -> Any:
@@ -269,16 +269,16 @@ class SwitchedInstance(Signals):
         return own, self.present.get_state()
 
     def set_state(self, state: Any) -> None:
-        """Restores what `get_state` gave; stepping on gives the same bits, over changes of modes too."""
+        """Restores a state that `get_state` gave; stepping on gives the same bits, over changes of modes too."""
         inner = self._own_state(state)
         self.present.set_state(inner)
 
     def restore(self, state: Any) -> None:
-        """`set_state`; the counts of what the solver did go on."""
+        """Restores a state as `set_state` does; the counts of the solver go on."""
         inner = self._own_state(state)
         self.present.restore(inner)
 
     def _own_state(self, state: Any) -> Any:
-        """Takes what is its own of a state, and gives that of the instance of the mode."""
+        """Take the part of a state that is its own, and return that of the instance of the mode."""
         (self._mode, self._asked, self._started, self._last, self.typical_step), inner = state
         return inner

@@ -1,4 +1,4 @@
-"""State events as tables: guards and jumps as kernels with indices, what arms them, what they set.
+"""State events as tables: guards and jumps as kernels with indices, the parameters that arm them, and those they set.
 
 Guards are functions of values at an instant: costates are put in as functions of the states, inputs that are fed from inside as
 what feeds them.  So a guard without algebraic variables costs no solve.
@@ -121,7 +121,7 @@ def _settings(index: Mapping[str, int], values: Iterable[Mapping[str, float]]) -
 
 
 def _require_modes(model: PHDAE, index: Mapping[str, int]) -> None:
-    """DeclarationError for names that are no scalar parameters, and for modes with energy in them."""
+    """Raise DeclarationError for names that are no scalar parameters, and for modes with energy in them."""
     for e in model.state_events:
         for name in sorted(e.named - index.keys()):
             raise DeclarationError(
@@ -220,7 +220,7 @@ def _table(terms: Terms, spec: Spec, own: list[Term]) -> Group:
 
 
 def at_instant(terms: Terms, labelled: Sequence[tuple[str, ca.SX]]) -> list[ca.SX]:
-    """Expressions with labels: costates become functions of the states, inputs fed from inside become what feeds them."""
+    """Expressions with labels: costates become functions of the states, inputs fed from inside become their sources."""
     if not labelled:
         return []
     exprs = [expr for _, expr in labelled]

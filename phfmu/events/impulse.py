@@ -11,7 +11,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Columns:
+class ImpulseColumns:
     """L (states x N), c by component (components x N), S = L^T H'' L (N x N) of jumps and then constraints at a state; e (n).
 
     e: restitutions of the jumps, which come first
@@ -22,10 +22,10 @@ class Columns:
     S: Array
     e: Array
 
-    def chosen(self, jumps: list[int]) -> Columns:
-        """Those of some jumps, and all constraints."""
+    def chosen(self, jumps: list[int]) -> ImpulseColumns:
+        """Columns of some jumps, and of all constraints."""
         which = [*jumps, *range(len(self.e), len(self.S))]
-        return Columns(self.L[:, which], self.c[:, which], self.S[np.ix_(which, which)], self.e[jumps])
+        return ImpulseColumns(self.L[:, which], self.c[:, which], self.S[np.ix_(which, which)], self.e[jumps])
 
 
 def impulses(S: Array, goal: Array, acts: NDArray[np.bool_], strict: int, least: float) -> Array | None:
@@ -48,7 +48,7 @@ def impulses(S: Array, goal: Array, acts: NDArray[np.bool_], strict: int, least:
 
 
 def signs(S: Array) -> Array:
-    """Of the pivots: 1, and -1 of velocities without mass, whose diagonal is 0."""
+    """Signs of the pivots of S: 1, and -1 of velocities without mass, whose diagonal is 0."""
     return np.where(S.diagonal() == 0.0, -1.0, 1.0)
 
 

@@ -27,7 +27,7 @@ from phfmu.declare.variable import VariableKind, _sx
 from phfmu.terms.bare import depends
 from phfmu.terms.canonical import Locator, components
 from phfmu.terms.extraction.extract_energy import component_energies
-from phfmu.terms.held import Held, held, massless, rates, typical_mass
+from phfmu.terms.held import HeldConstraints, held, massless, rates, typical_mass
 from phfmu.terms.term import CLOSED, MASS_BLOCK, Terms
 
 #: states of a block of E whose inverse is written out
@@ -109,7 +109,7 @@ def _with_massless(terms: Terms, made: JumpColumns, light: list[int], B: ca.SX) 
     )
 
 
-def _met(terms: Terms, own: ca.SX, all_held: Held) -> Held:
+def _met(terms: Terms, own: ca.SX, all_held: HeldConstraints) -> HeldConstraints:
     """The constraints that meet the jumps, through the energies and each other, or that modes change."""
     n, names = own.shape[1], all_held.names
     if not names:
@@ -148,7 +148,7 @@ def _column(terms: Terms, locator: Locator, name: str, jump: Jump) -> ca.SX:
 
 
 def _require_rates(terms: Terms, names: Sequence[str], A: ca.SX) -> None:
-    """DeclarationError where E^-1 A has no closed form, or a column is empty."""
+    """Raise DeclarationError if E^-1 A has no closed form, or a column is empty."""
     large = [t for t in terms.of(MASS_BLOCK) if len(t.rows) > BLOCK]
     odd = {r.index for t in (*large, *terms.of(CLOSED)) for r in t.rows}
     for j, name in enumerate(names):
@@ -166,7 +166,7 @@ def _require_rates(terms: Terms, names: Sequence[str], A: ca.SX) -> None:
 
 
 def _bent(column: ca.SX, S: ca.SX, j: int, psi: ca.SX) -> tuple[str, str, str] | None:
-    """Reason, remedy and rule of what has no closed form along column j."""
+    """Reason, remedy and rule of an expression without closed form along column j; None if all have one."""
     if depends(column, psi):
         return "has a column that changes as it moves states", "let columns depend on other states", "symbol"
     if S[j, j].is_zero():
@@ -177,8 +177,8 @@ def _bent(column: ca.SX, S: ca.SX, j: int, psi: ca.SX) -> tuple[str, str, str] |
     return None
 
 
-def _require_still(terms: Terms, names: Sequence[str], met: Held) -> None:
-    """DeclarationError for constraints that something besides the states moves: their impulse would do work there."""
+def _require_still(terms: Terms, names: Sequence[str], met: HeldConstraints) -> None:
+    """Raise DeclarationError for constraints that something besides the states moves: their impulse would do work there."""
     for j, name in enumerate(names):
         if not ca.simplify(met.c0[j]).is_zero():
             reason = "moves with time, so that its impulse would do work on what moves it"
@@ -187,7 +187,7 @@ def _require_still(terms: Terms, names: Sequence[str], met: Held) -> None:
 
 
 def _require_other_modes(terms: Terms, events: Sequence[StateEvent]) -> None:
-    """DeclarationError for jumps that a parameter is in which their own event sets: they happen with its new value."""
+    """Raise DeclarationError for jumps that contain a parameter that their own event sets: they happen with its new value."""
     symbols = {n: s for v in terms.model.parameters for n, s in zip(v.names(), ca.vertsplit(v.sx), strict=True)}
     for e in events:
         if e.jump is None:

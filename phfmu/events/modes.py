@@ -21,12 +21,12 @@ from numpy.typing import NDArray
 from phfmu.declare.block import Block, block, skew
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.variable import Variable, _sx
-from phfmu.events.switch_system import SwitchSystem, Undetermined
+from phfmu.events.switch_system import SwitchSystem, UndeterminedDirection
 
 Mode = tuple[int, ...]
 Array = NDArray[np.float64]
 
-#: of a typical multiplier: what counts as zero
+#: fraction of a typical multiplier that counts as zero
 ZERO = 1e-6
 
 
@@ -45,13 +45,13 @@ class Modes:
 
     @cached_property
     def system(self) -> SwitchSystem:
-        """Its equations with the modes as numbers."""
+        """The switch system: the equations of the model with the modes as numbers."""
         off = (block([s.multiplier], -(1 - s.mode.sx) * s.scale) for s in self.switches)
         return SwitchSystem(self.declaration, replace(self.whole, structure=(*self.whole.structure, *off)))
 
     @cached_property
     def names(self) -> list[str]:
-        """Those of the scalar parameters."""
+        """Names of the scalar parameters."""
         return [n for v in self.declaration.parameters for n in v.names()]
 
     @property
@@ -81,7 +81,7 @@ class Modes:
         return replace(d, structure=structure, state_events=(*d.state_events, *events), switches=())
 
 
-def _least(variables: Sequence[Variable], found: Undetermined) -> Block:
+def _least(variables: Sequence[Variable], found: UndeterminedDirection) -> Block:
     """A row that makes the algebraic variables zero along a direction.
 
     In one row only: the search for hidden rows must see the others as they are.
@@ -94,7 +94,7 @@ def _least(variables: Sequence[Variable], found: Undetermined) -> Block:
 
 
 def most_held(modes: Modes, present: Mode, a: Array, j: int) -> float:
-    """How much switch j, which falls to zero in a mode, could hold if others on which it depends held less; 0: nothing."""
+    """The largest value that switch j, which falls to zero in a mode, could hold if others on which it depends held less."""
     system, switches = modes.system, modes.switches
     if not (found := system.undetermined(present)):
         return 0.0

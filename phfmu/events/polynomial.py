@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from phfmu.gradients.quadrature import Nodes
 from phfmu.plan.layout import Layout
-from phfmu.plan.planner import Maps
+from phfmu.plan.planner import SchemeMaps
 from phfmu.plan.unknown import INCREMENT
 
 Array = NDArray[np.float64]
@@ -23,7 +23,7 @@ class Polynomial:
     start_state, start_w: the same of the impulses at the start
     """
 
-    def __init__(self, layout: Layout, nodes: Nodes, maps: Maps):
+    def __init__(self, layout: Layout, nodes: Nodes, maps: SchemeMaps):
         self.nodes, self.nx = nodes, layout.terms.n1
         found = [(u.index, w, u.node) for w, u in enumerate(layout.unknowns) if u.role is INCREMENT]
         self.state, self.w, self.node = (np.array([f[j] for f in found], int) for j in range(3))

@@ -25,7 +25,7 @@ HALF, ASIDE = 0.5, 0.4375  # where an interval is parted; aside if there is a ze
 
 @dataclass(frozen=True)
 class Crossing:
-    """At the fraction tau of the step, with the slope d guard / d tau."""
+    """A zero of a guard at the fraction tau of the step, with the slope d guard / d tau."""
 
     tau: float
     slope: float
@@ -130,7 +130,7 @@ def hermite(start: float, end: float, slope_start: float, slope_end: float) -> A
 
 
 def hermite_from_zero(end: float, slope_start: float, slope_end: float) -> Array:
-    """The same of the cubic that is 0 at 0, divided by the variable: of degree 2."""
+    """Bernstein coefficients of degree 2 of the same cubic with start 0, divided by the variable."""
     return hermite(0.0, end, slope_start, slope_end)[1:] * [3.0, 1.5, 1.0]
 
 

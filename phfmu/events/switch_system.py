@@ -106,7 +106,7 @@ class Rates:
 
 @dataclass(frozen=True)
 class Equations:
-    """They as expressions of x, a, u, p and time: `rows` as in Rates, then the diagonal of E; `gradients`, dH/dx by component."""
+    """Equations in x, a, u, p and time: `rows` as in Rates, then the diagonal of E; `gradients`, dH/dx by component."""
 
     x: ca.SX
     a: ca.SX
@@ -117,7 +117,7 @@ class Equations:
 
 
 @dataclass(frozen=True)
-class Undetermined:
+class UndeterminedDirection:
     """A direction of the algebraic variables: `row` (na) along it, to stand in the row of variable `at`."""
 
     at: int
@@ -167,7 +167,7 @@ class SwitchSystem:
         self.power = max([s.nominal * s.multiplier.nominal[0] for s in model.switches], default=1.0)
         starts = (symbolic.states, symbolic.algebraics, symbolic.parameters)
         self._start = [np.array([s for v in vs for s in v.start], float) for vs in starts]
-        self._undetermined: dict[tuple[int, ...], tuple[Undetermined, ...]] = {}
+        self._undetermined: dict[tuple[int, ...], tuple[UndeterminedDirection, ...]] = {}
         self.size = np.array([n for v in symbolic.states for n in v.nominal])
         self._size = self.size, terms.nu
 
@@ -190,14 +190,14 @@ class SwitchSystem:
         found = [np.array(v) for v in self._rates(at.x, at.a, at.u, at.p, at.t)]
         return Rates(*(o[:, 0] if i in (0, 3, 6, 9) else o for i, o in enumerate(found)))
 
-    def undetermined(self, mode: Sequence[int]) -> tuple[Undetermined, ...]:
+    def undetermined(self, mode: Sequence[int]) -> tuple[UndeterminedDirection, ...]:
         """Directions of the algebraic variables that no row contains."""
         key = tuple(mode)
         if key not in self._undetermined:
             self._undetermined[key] = self._find_undetermined(key)
         return self._undetermined[key]
 
-    def _find_undetermined(self, mode: tuple[int, ...]) -> tuple[Undetermined, ...]:
+    def _find_undetermined(self, mode: tuple[int, ...]) -> tuple[UndeterminedDirection, ...]:
         x, a, p = self._start
         size, nu = self._size
         draw = np.random.default_rng(0)
@@ -211,7 +211,7 @@ class SwitchSystem:
         directions = apart(null_space(scaled_rows(np.vstack(rows)), len(self.nominal)))
         directions = np.where(np.abs(directions) > RANK, directions, 0.0)
         scaled = directions / self.nominal[:, None] * np.sqrt(self.power)
-        return tuple(Undetermined(int(i), n[i] * n) for i, n in zip(pivots(directions), scaled.T, strict=True))
+        return tuple(UndeterminedDirection(int(i), n[i] * n) for i, n in zip(pivots(directions), scaled.T, strict=True))
 
 
 def _fed(pair: object) -> ca.SX:

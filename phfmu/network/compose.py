@@ -23,7 +23,7 @@ from phfmu.declare.observable import Observable
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import Port
 from phfmu.declare.variable import Variable
-from phfmu.network.junction import ConnectionError, End, Junction, Unknowns, junction_unknowns
+from phfmu.network.junction import ConnectionError, End, Junction, JunctionUnknowns, junction_unknowns
 from phfmu.network.signal_ports import fed
 from phfmu.network.wires import Wire, outputs, signal_symbols
 
@@ -98,7 +98,7 @@ def _owner(prefix: str, owner: str) -> str:
     return f"{prefix}.{owner}" if owner else prefix
 
 
-def _prefixed(prefix: str, model: PHDAE, feed: dict[End, Unknowns]) -> PHDAE:
+def _prefixed(prefix: str, model: PHDAE, feed: dict[End, JunctionUnknowns]) -> PHDAE:
     """`model` with prefixed names and its joined ports bound to the junction variables."""
 
     def rename(v: Variable) -> Variable:

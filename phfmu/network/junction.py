@@ -62,7 +62,7 @@ class Junction:
 
 
 @dataclass(frozen=True)
-class Unknowns:
+class JunctionUnknowns:
     """Unknowns of one junction: the common variable and the inputs of the ports that output it."""
 
     junction: Junction
@@ -74,7 +74,7 @@ class Unknowns:
         return self.dual.get(end, self.common)
 
 
-def junction_unknowns(members: Mapping[str, WithPorts], junction: Junction) -> Unknowns:
+def junction_unknowns(members: Mapping[str, WithPorts], junction: Junction) -> JunctionUnknowns:
     """The algebraic variables of `junction`; named `<junction>.v[..]` and `<member>.<port>.i[..]` (domain names)."""
     ports = junction.ports(members)
     first = next(iter(ports.values()))
@@ -90,7 +90,7 @@ def junction_unknowns(members: Mapping[str, WithPorts], junction: Junction) -> U
             member = port.input_names()[0].split("[")[0]
             dual[end] = algebraic(of_member(end.member, member), port.size, unit=port.input_unit, nominal=port.nominal,
                                   start=port.start, elements=port.elements, description=f"input of {end}")  # fmt: skip
-    return Unknowns(junction, common, dual)
+    return JunctionUnknowns(junction, common, dual)
 
 
 def _size(ports: list[Port]) -> float:

@@ -225,7 +225,7 @@ class Network:
 
     @property
     def to_compose(self) -> str:
-        """How to get one composed model, in words."""
+        """Remedy that leads to one composed model, in words."""
         if self.units:
             return f"put declarations in the place of {', '.join(self.units)}: an FMU cannot be composed"
         return "leave out --coupling, --member and --parts, which step them apart"

@@ -16,12 +16,12 @@ def node_kinds(declaration: PHDAE) -> dict[str, str]:
     """Junction -> index 1, or index 2 and what the steps do about it."""
     from phfmu.terms.bare import bare_nodes
     from phfmu.terms.extraction.extract import extract
-    from phfmu.terms.hidden import Hidden
+    from phfmu.terms.hidden import HiddenConstraints
 
     terms = extract(declaration)
     names = [n for v in declaration.algebraics for n in v.names()]
     bare = {n.row: n for n in bare_nodes(terms)}
-    over = terms.found(Hidden).rows
+    over = terms.found(HiddenConstraints).rows
     out = {}
     for junction, _ in declaration.junctions:
         rows = [i for i, n in enumerate(names) if n.startswith(f"{junction}.")]

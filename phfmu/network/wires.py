@@ -86,7 +86,7 @@ def _inputs(model: PHDAE | UnitFile) -> dict[str, str]:
 
 
 def wires_between(members: Mapping[str, PHDAE | UnitFile], source: str, target: str) -> list[Wire]:
-    """One wire per scalar of the two ends, `member.name`; ConnectionError for what does not exist or does not fit."""
+    """One wire per scalar of the two ends, `member.name`; raises ConnectionError for what does not exist or does not fit."""
     a, output = _split(members, source)
     b, wanted = _split(members, target)
     found, name = outputs(members[a]), output.partition("[")[0]
@@ -102,7 +102,7 @@ def wires_between(members: Mapping[str, PHDAE | UnitFile], source: str, target: 
         reason = f"{source} has {len(given)} values, {target} takes {len(taken)}"
         raise ConnectionError(f"signal {source} - {target}", reason, "connect as many as it takes")
     into = members[b]
-    _require_unit(_told(members[a], given[0], source), _told(into, taken[0], target))
+    _require_unit(_signal_unit(members[a], given[0], source), _signal_unit(into, taken[0], target))
     if isinstance(into, PHDAE):
         _refuse_work(into, taken, target)
     return [Wire(a, g, b, t) for g, t in zip(given, taken, strict=True)]
@@ -111,7 +111,7 @@ def wires_between(members: Mapping[str, PHDAE | UnitFile], source: str, target: 
 def at_junction(source: str, members: Mapping[str, PHDAE | UnitFile], junctions: Sequence[Junction]) -> str:
     """The port output that a source `junction.name` stands for; the source itself where no junction has that name.
 
-    ConnectionError where no port at the junction has the common variable as its output: it is a multiplier, which depends
+    Raises ConnectionError where no port at the junction has the common variable as its output: it is a multiplier, which depends
     on all that meets there at once, so that it is measured by a member with a lag.
     """
     name, _, wanted = source.partition(".")
@@ -137,7 +137,7 @@ def at_junction(source: str, members: Mapping[str, PHDAE | UnitFile], junctions:
 
 
 @dataclass(frozen=True)
-class _Told:
+class _SignalUnit:
     """The end of a signal and its unit of measurement: its text, what it is (None: it cannot be read), whether it is `known`.
 
     That of a variable of an FMU whose description tells none is not; nor is 1 in a declaration, which is what stands there
@@ -151,15 +151,15 @@ class _Told:
     declared: bool
 
 
-def _told(member: PHDAE | UnitFile, name: str, end: str) -> _Told:
+def _signal_unit(member: PHDAE | UnitFile, name: str, end: str) -> _SignalUnit:
     """The unit of the input or output `name` of a member."""
     if isinstance(member, PHDAE):
         inputs, bare = signal_inputs(member), name.partition("[")[0]
         text = inputs[name] if name in inputs else outputs(member)[bare].unit
-        return _Told(end, text, _parsed(text), text != "1", True)
+        return _SignalUnit(end, text, _parsed(text), text != "1", True)
     variable, defined = member.interface.variables[name], member.interface.units
     known = variable.has_unit or bool(member.interface.energy)  # units of this package leave out what is 1
-    return _Told(end, variable.unit, defined.get(variable.unit) or _parsed(variable.unit), known, False)
+    return _SignalUnit(end, variable.unit, defined.get(variable.unit) or _parsed(variable.unit), known, False)
 
 
 def _parsed(text: str) -> Unit | None:
@@ -169,12 +169,12 @@ def _parsed(text: str) -> Unit | None:
         return None
 
 
-def _compared(a: _Told, b: _Told) -> bool:
+def _compared(a: _SignalUnit, b: _SignalUnit) -> bool:
     """Whether both ends tell a unit: of two declarations always."""
     return (a.known and b.known) or (a.declared and b.declared)
 
 
-def _require_unit(source: _Told, target: _Told) -> None:
+def _require_unit(source: _SignalUnit, target: _SignalUnit) -> None:
     """ConnectionError where both tell one and they are not the same."""
     if source.text == target.text or not _compared(source, target):
         return
@@ -193,8 +193,8 @@ def without_unit(members: Mapping[str, PHDAE | UnitFile], wires: Sequence[Wire])
     """A line about the signals of which one end tells a unit of measurement and the other, of an FMU, none; "" without such."""
     ends: list[str] = []
     for w in wires:
-        a = _told(members[w.source], w.output, of_member(w.source, w.output))
-        b = _told(members[w.target], w.input, of_member(w.target, w.input))
+        a = _signal_unit(members[w.source], w.output, of_member(w.source, w.output))
+        b = _signal_unit(members[w.target], w.input, of_member(w.target, w.input))
         if not _compared(a, b) and a.known is not b.known:
             ends.append(f"{b.end if a.known else a.end} (taken for {a.text if a.known else b.text})")
     return f"no unit of measurement is told of {first_few(ends)}" if ends else ""

@@ -122,7 +122,7 @@ LEDGER = ("signals", "energy", "stored", "dissipated", "supplied", "moved", "pai
 
 
 @dataclass(frozen=True)
-class Happened:
+class EventRecord:
     """State events at one instant: numbers of the `events`, and of the `rests` among them that came to rest.
 
     energy, lost:  by component, what the jump added to its H and what it lost (J); the sums of both are 0 together
@@ -148,4 +148,4 @@ class Landed:
     t: Array
     h: Array
     rows: dict[str, Array]
-    happened: Happened | None
+    happened: EventRecord | None

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 Array = NDArray[Any]
 
 
-class Buffered:
+class BufferedFunction:
     """A kernel function mapped over the instances of a group, on arrays of its arguments and results (n x width each)."""
 
     def __init__(self, function: Any, arg: list[Any], res: list[Any]):

@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 
 from phfmu.declare.expressions.operations import ANALYTIC
-from phfmu.plan.buffered import Buffered
+from phfmu.plan.buffered import BufferedFunction
 from phfmu.plan.spec import Spec
 
 #: more coordinates of a kind than this are left as they are
@@ -47,7 +47,7 @@ def differences(f: ca.Function, which: int, places: Sequence[Sequence[int]] | No
     rng = np.random.default_rng(1)
     together = [[j] for j in range(f.numel_in(which))] if places is None else places
     points = [[rng.uniform(0.5, 1.5, f.numel_in(i)) for i in range(f.n_in())] for _ in range(2)]
-    sample = Sampled(f)
+    sample = StackedFunction(f)
     values = [sample(point) for point in points]
     free, pairs = list(range(len(together))), []
     while free:
@@ -60,14 +60,14 @@ def differences(f: ca.Function, which: int, places: Sequence[Sequence[int]] | No
     return Differences(tuple(pairs))
 
 
-class Sampled:
+class StackedFunction:
     """All results of a function in one array, at points given as a list of arrays."""
 
     def __init__(self, f: ca.Function):
         ends = np.cumsum([0, *(f.numel_out(i) for i in range(f.n_out()))])
         self._all = np.zeros(ends[-1])
         parts = [self._all[a:b].reshape(1, -1) for a, b in pairwise(ends)]
-        self._function = Buffered(f, [np.zeros((1, f.numel_in(i))) for i in range(f.n_in())], parts)
+        self._function = BufferedFunction(f, [np.zeros((1, f.numel_in(i))) for i in range(f.n_in())], parts)
 
     def __call__(self, point: Sequence[np.ndarray]) -> np.ndarray:
         for place, values in zip(self._function.arg, point, strict=True):
@@ -76,7 +76,7 @@ class Sampled:
         return self._all.copy()
 
 
-def _invariant(sample: Sampled, which: int, points: list, values: list, places: list[Sequence[int]]) -> bool:
+def _invariant(sample: StackedFunction, which: int, points: list, values: list, places: list[Sequence[int]]) -> bool:
     for point, value in zip(points, values, strict=True):
         moved = point[which].copy()
         for group in places:
@@ -89,7 +89,7 @@ def _invariant(sample: Sampled, which: int, points: list, values: list, places: 
 
 
 def in_differences(spec: Spec) -> Spec:
-    """The same kernel with all arguments that matter through differences only replaced by these."""
+    """The kernel with all arguments that matter through differences only replaced by these differences."""
     y = ca.vertcat(*(s for _, s in spec.y)) if spec.y else ca.SX(0, 1)
     f = _function(spec, y)
     if not {f.instruction_id(i) for i in range(f.n_instructions())} <= ANALYTIC:
@@ -136,5 +136,5 @@ def _alike(f: ca.Function, g: ca.Function) -> bool:
     for h in (f, g):
         out = ca.vertcat(*h.call(x))
         slope = ca.jtimes(out, ca.vertcat(*x), ca.DM.ones(sum(p.size for p in point)))
-        values.append(Sampled(ca.Function("h", x, [out, slope]))(point))
+        values.append(StackedFunction(ca.Function("h", x, [out, slope]))(point))
     return bool(np.allclose(*values, rtol=1e-9, atol=1e-9))

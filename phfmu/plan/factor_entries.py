@@ -19,19 +19,19 @@ from phfmu.matching import columns_of_rows
 
 @dataclass(frozen=True)
 class FactorEntries:
-    """`below`: entries of each column of L below its diagonal;  `right`: of each row of U to the right of it."""
+    """Numbers of entries: `below` the diagonal of each column of L;  `right` of the diagonal of each row of U."""
 
     below: NDArray[np.int64]
     right: NDArray[np.int64]
 
     @property
     def total(self) -> int:
-        """Those of L and of U, the diagonal in both."""
+        """Number of the entries of L and U, the diagonal in both."""
         return int(self.below.sum() + self.right.sum()) + 2 * len(self.right)
 
     @property
     def multiplications(self) -> int:
-        """Those of the elimination, divisions aside."""
+        """Number of multiplications of the elimination, divisions aside."""
         return int(self.below @ self.right)
 
 
@@ -64,7 +64,10 @@ def factor_entries(rows: Sequence[Sequence[int]]) -> FactorEntries:
 def permuted_entries(
     row: NDArray[np.integer], col: NDArray[np.integer], order: NDArray[np.integer], pivot: NDArray[np.integer] | None
 ) -> FactorEntries:
-    """Those of the pattern (row, col) with its columns in this order, whose pivots are these rows; None: row k of column k."""
+    """Entries of the factors of a pattern (row, col) with its columns in this order.
+
+    pivot: the rows of the pivots, None: row k of column k
+    """
     n = len(order)
     place, at = np.empty(n, np.int64), np.arange(n)
     place[order] = np.arange(n)

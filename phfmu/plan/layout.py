@@ -10,7 +10,7 @@ import numpy as np
 
 from phfmu.declare.variable import Value
 from phfmu.plan.unknown import ALGEBRAIC, COSTATE, INCREMENT, Role, Unknown
-from phfmu.terms.condense import Condensed
+from phfmu.terms.condense import CondensedVariables
 from phfmu.terms.located import Row, RowAt, ValueAt
 from phfmu.terms.term import Terms
 
@@ -56,7 +56,7 @@ class Layout:
     @cached_property
     def condensed(self) -> tuple[int, ...]:
         """Algebraic variables that are no unknowns, but sums of other values."""
-        return self.terms.found(Condensed).variables
+        return self.terms.found(CondensedVariables).variables
 
     @property
     def ncondensed(self) -> int:
@@ -92,7 +92,7 @@ class Layout:
         return self.nw + node * len(self.terms.pairs) + pair
 
     def report(self, key: Hashable) -> int:
-        """Row of what is reported under `key`."""
+        """Row of the report under `key`."""
         return self.nw + len(self.terms.pairs) * self.k + self._report[key]
 
     def condensed_row(self, a: int, node: int) -> int:

@@ -32,7 +32,7 @@ class StructurallySingular(ValueError):
 
 
 @dataclass(frozen=True)
-class _Pattern:
+class _MatrixPattern:
     """Places of the entries of an n x n matrix that are not zero."""
 
     n: int
@@ -59,7 +59,7 @@ def elimination_order(
     weak = np.zeros(n, bool)
     weak[regularised] = True
     real = ~((row == col) & weak[col])
-    whole = _Pattern(n, row[real], col[real])
+    whole = _MatrixPattern(n, row[real], col[real])
     order, pivot = _minimum_degree(whole, row, col)
     first = _Doubletons(whole)
     if len(first.pivots) < LEAST * n:
@@ -79,7 +79,7 @@ class _Doubletons:
     in A it does not.
     """
 
-    def __init__(self, pattern: _Pattern):
+    def __init__(self, pattern: _MatrixPattern):
         n = self.n = pattern.n
         self.rows: list[set[int]] = [set() for _ in range(n)]
         self.cols: list[set[int]] = [set() for _ in range(n)]
@@ -106,19 +106,19 @@ class _Doubletons:
         self._queue.extend(sorted(others | touched))
 
     def before(self) -> tuple[Ints, Ints]:
-        """These pivots, then those of minimum degree for what is left."""
+        """The order with these pivots first, then those of minimum degree of what is left."""
         kept = sorted(set(range(self.n)) - set(self.pivots))
         place = {i: k for k, i in enumerate(kept)}
         row = np.array([k for k, i in enumerate(kept) for _ in self.rows[i]], np.int32)
         col = np.array([place[c] for i in kept for c in self.rows[i]], np.int32)
         order, pivot = (np.zeros(0, np.int32),) * 2
         if kept:
-            order, pivot = _minimum_degree(_Pattern(len(kept), row, col), row, col)
+            order, pivot = _minimum_degree(_MatrixPattern(len(kept), row, col), row, col)
         names, first = np.array([*kept, -1], np.int32), np.array(self.pivots, np.int32)
         return np.append(first, names[order]), np.append(first, names[pivot])
 
 
-def _minimum_degree(pattern: _Pattern, row: NDArray[np.int32], col: NDArray[np.int32]) -> tuple[Ints, Ints]:
+def _minimum_degree(pattern: _MatrixPattern, row: NDArray[np.int32], col: NDArray[np.int32]) -> tuple[Ints, Ints]:
     """Minimum degree, with columns without a diagonal joined to a neighbour; (row, col): all entries, also those of size 0."""
     n = pattern.n
     has_diagonal = np.zeros(n, bool)

@@ -187,6 +187,6 @@ class Plan:
 
     @property
     def seeds(self) -> NDArray[np.bool_]:
-        """Of the algebraic reports those whose unknown may start from a reported value; increments start from 0."""
+        """Mask of the reported algebraic variables whose unknown may start from a reported value; increments start from 0."""
         at = np.minimum(self.mean_w, max(self.nw - 1, 0))
         return (self.mean_w < self.nw) & (np.append(self.increments, 0)[at] == 0)

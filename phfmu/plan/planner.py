@@ -32,8 +32,8 @@ class Tables:
 
 
 @dataclass(frozen=True)
-class Maps:
-    """Linear maps of a scheme between unknowns and what is reported or carried on.
+class SchemeMaps:
+    """Linear maps of a scheme from unknowns to reported and carried values.
 
     `update`: (state, w, weight) with x' = x + sum weight w;  `mean`: (reported algebraic, Y index, weight, power of h);
     `guess`: per unknown a list of (w of the last step, weight, power of h/h_last);  `weights`, `nodes`: quadrature on
@@ -55,7 +55,7 @@ def make_plan(
     layout: Layout,
     work: Sequence[tuple[Term, list[Spec]]],
     constants: Sequence[tuple[int, int, float, int]],
-    maps: Maps,
+    maps: SchemeMaps,
     hold: Holds | None = None,
 ) -> Plan:
     """Assemble the plan.  `constants`: (row, Y index, value, power of h).  DeclarationError if structurally singular."""

@@ -1,4 +1,4 @@
-"""Unknowns of a discretised system: what each stands for, and how a reader of an error is told about it."""
+"""Unknowns of a discretised system, their kinds, and the words for them in errors."""
 
 from __future__ import annotations
 

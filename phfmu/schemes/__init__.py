@@ -1,1 +1,1 @@
-"""Schemes: which unknowns a step has and what kernels its terms become, one file each."""
+"""Schemes: the unknowns of a step and the kernels of its terms, one file each."""

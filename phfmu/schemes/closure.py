@@ -1,4 +1,4 @@
-"""Closures: what ties the algebraic state x2 to its costate over a step (k = 1).
+"""Closures: equations that tie the algebraic state x2 to its costate over a step (k = 1).
 
 The equations of a step determine the costate f2 of the algebraic rows; x2 itself is closed by f2 = z2bar(x2, x2'):
 
@@ -20,7 +20,7 @@ from phfmu.declare.variable import Value
 from phfmu.gradients.quadrature import nodes
 from phfmu.plan.address import Address, algebraic, with_algebraics
 from phfmu.plan.layout import Layout
-from phfmu.plan.planner import Maps
+from phfmu.plan.planner import SchemeMaps
 from phfmu.plan.spec import Arguments, Spec
 from phfmu.plan.unknown import ALGEBRAIC, Role, Unknown, of_algebraics
 from phfmu.schemes.scheme import node_maps
@@ -40,7 +40,7 @@ def carried(layout: Layout, term: Term, j: int, node: int) -> int:
 
 
 def require(point: str, scheme: str) -> None:
-    """DeclarationError if `point` is not one of POINTS."""
+    """Raise DeclarationError if `point` is not one of POINTS."""
     if point not in POINTS:
         raise DeclarationError(scheme, f"closure '{point}' is not known", f"choose from {', '.join(POINTS)}")
 
@@ -71,9 +71,9 @@ def specs(term: Term, point: str) -> list[Spec]:
     return [Spec(1, before, EMPTY, args.y, out, old=with_algebraics)]
 
 
-def maps(layout: Layout) -> Maps:
+def maps(layout: Layout) -> SchemeMaps:
     """The maps of one node, but x2' is carried on; f2 starts from x2 too (weight 0: it is not reported)."""
     base = node_maps(layout, nodes(1))
     carried = [(i, layout.at(CARRIED, i), 1.0, 0) for i in range(layout.terms.na)]
     started = [(i, layout.at(ALGEBRAIC, i), 0.0, 0) for i in range(layout.terms.na)]
-    return Maps(base.update, carried + started, base.guess, base.weights, base.nodes, carries=True)
+    return SchemeMaps(base.update, carried + started, base.guess, base.weights, base.nodes, carries=True)

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from phfmu.declare.error import DeclarationError
 from phfmu.plan.layout import Layout
 from phfmu.plan.plan import Holds
-from phfmu.plan.planner import Maps
+from phfmu.plan.planner import SchemeMaps
 from phfmu.plan.spec import Spec
 from phfmu.plan.unknown import Unknown
 from phfmu.schemes.constraints import impulses, inertia
@@ -42,7 +42,7 @@ class Collocated(GaussScheme):
     node_values = True
 
     def prepare(self, terms: Terms) -> Terms:
-        """The terms with their impulses; DeclarationError says what does not fit."""
+        """The terms with their impulses; DeclarationError names a remedy for terms that do not fit."""
         require_pairs(terms, self.k)
         require_gradient(self.gradient, self.k)
         if self.k % 2 == 0 and terms.of(CONSTRAINT):
@@ -66,7 +66,7 @@ class Collocated(GaussScheme):
             return impulses.specs(term, self.nodes)
         return [impulses.shifted(s, term) for s in NodeKernels(self.nodes, self.gradient).specs(term)]
 
-    def maps(self, layout: Layout) -> Maps:
+    def maps(self, layout: Layout) -> SchemeMaps:
         even = self.k > 1 and inertia.uneven(layout.terms)
         return impulses.maps(layout, node_maps(layout, self.nodes, even=even))
 
@@ -75,7 +75,7 @@ class Collocated(GaussScheme):
 
 
 def require_pairs(terms: Terms, k: int) -> None:
-    """DeclarationError for closed-form pairs without a discrete pair, or with k > 1."""
+    """Raise DeclarationError for closed-form pairs without a discrete pair, or with k > 1."""
     for pair in terms.model.closed:
         if pair.ebar is None or pair.zbar is None:
             names = ", ".join(v.name for v in pair.variables)
@@ -93,7 +93,7 @@ def require_pairs(terms: Terms, k: int) -> None:
 
 
 def require_gradient(gradient: str, k: int) -> None:
-    """DeclarationError for a gradient that has one node only."""
+    """Raise DeclarationError for a gradient that has one node only."""
     if k > 1 and gradient not in ("per-term", "mean-value"):
         raise DeclarationError(
             f"gradient {gradient}", "has order 2 at most", "use --gradient per-term for a higher order", "order"

@@ -39,7 +39,7 @@ from phfmu.plan.address import (
     with_algebraics,
 )
 from phfmu.plan.layout import Layout
-from phfmu.plan.planner import Maps
+from phfmu.plan.planner import SchemeMaps
 from phfmu.plan.spec import Arguments, Spec, substituted
 from phfmu.plan.unknown import COSTATE, Unknown
 from phfmu.schemes import closure, minimal
@@ -93,7 +93,7 @@ class DiracDissipative(GaussScheme):
         out = node_constants(layout, range(layout.terms.n1)) + [(w, w, 1.0, 0) for w in costates]
         return out + minimal.constants(layout, out) if self._minimal else out
 
-    def maps(self, layout: Layout) -> Maps:
+    def maps(self, layout: Layout) -> SchemeMaps:
         return closure.maps(layout)
 
     def specs(self, term: Term) -> list[Spec]:
@@ -126,7 +126,7 @@ class DiracDissipative(GaussScheme):
 
 
 def _require_regular(terms: Terms) -> None:
-    """DeclarationError if a pair's E is singular at the start: then E^T f = DG H leaves f open."""
+    """Raise DeclarationError if a pair's E is singular at the start: then E^T f = DG H leaves f open."""
     model = terms.model
     for pair in model.closed:
         e = ca.Function("E", [model.x, ca.vertcat(*(p.sx for p in model.parameters))], [ca.densify(pair.E)])

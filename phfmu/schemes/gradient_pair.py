@@ -15,12 +15,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from phfmu.declare.error import DeclarationError
-from phfmu.schemes.semi_explicit import WithClosure
+from phfmu.schemes.semi_explicit import ClosureScheme
 from phfmu.terms.term import Terms
 
 
 @dataclass(frozen=True)
-class GradientPair(WithClosure):
+class GradientPair(ClosureScheme):
     """One step with (Ebar, zbar), in the semi-explicit form with the same solution (Corollary 1).
 
     gradient: as for `Collocated(1)`;  closure: z2bar = x2' ("end") or (x2 + x2')/2 ("midpoint").  "start" is refused:

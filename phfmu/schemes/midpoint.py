@@ -12,7 +12,7 @@ from phfmu.schemes.collocated import Collocated
 
 @dataclass(frozen=True)
 class Midpoint(Collocated):
-    """Collocation with one node and the gradient there; the residual of the balance is what that misses."""
+    """Collocation with one node and the gradient there; the residual of the balance is the error of that gradient."""
 
     k: int = field(default=1, init=False, repr=False)
     gradient: str = field(default="nodal", init=False, repr=False)

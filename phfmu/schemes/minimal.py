@@ -44,7 +44,7 @@ PART = {"start": 0.0, "midpoint": 0.5, "end": 1.0}
 NEARNESS = TermKind("nearness")
 #: equations of the scheme, by the unknowns of equal number -> their multipliers
 MULTIPLIER = {role: Role(f"multiplier of the row of {role.name}") for role in (INCREMENT, COSTATE, ALGEBRAIC)}
-#: what kernels read that is always an unknown
+#: arguments of kernels that are always unknowns
 PRIMAL = (increment, costate, own_costate, algebraic, carried, velocity_costate, force)
 
 

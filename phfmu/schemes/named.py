@@ -20,8 +20,8 @@ from phfmu.schemes.two_level import TwoLevel
 
 
 @dataclass(frozen=True)
-class Asked:
-    """A request in names from the lists; closure None = the default of the scheme."""
+class SchemeRequest:
+    """A scheme asked for by names from the lists; closure None = the default of the scheme."""
 
     name: str
     order: int
@@ -57,7 +57,7 @@ def named_scheme(
         raise DeclarationError(
             f"scheme {name}", "has the orders 2, 4 and 6", f"order {order} is one of --scheme radau", "order"
         )
-    return MAKERS[name](declaration, Asked(name, order, gradient, closure))
+    return MAKERS[name](declaration, SchemeRequest(name, order, gradient, closure))
 
 
 def _require_known(order: int, gradient: str, closure: str | None) -> None:
@@ -73,31 +73,31 @@ def _require_known(order: int, gradient: str, closure: str | None) -> None:
         raise DeclarationError.of(found)
 
 
-def _require_order_2(a: Asked) -> None:
+def _require_order_2(a: SchemeRequest) -> None:
     if a.order != 2:
         raise DeclarationError(
             f"scheme {a.name}", "has order 2 only", f"use --scheme collocated for order {a.order}", "order"
         )
 
 
-def _require_no_closure(a: Asked) -> None:
+def _require_no_closure(a: SchemeRequest) -> None:
     if a.closure is not None:
         fits = "semi-explicit, gradient-pair or dirac-dissipative"
         remedy = f"leave out --closure, or use --scheme {fits}"
         raise DeclarationError(f"scheme {a.name}", "has no closure", remedy, "closure")
 
 
-def _require_not_minimal(a: Asked, remedy: str) -> None:
+def _require_not_minimal(a: SchemeRequest, remedy: str) -> None:
     if a.closure == "minimal":
         raise DeclarationError("closure minimal", "is for --scheme dirac-dissipative", remedy, "closure")
 
 
-def _auto(declaration: PHDAE, a: Asked) -> Scheme:
+def _auto(declaration: PHDAE, a: SchemeRequest) -> Scheme:
     name = "two-level" if declaration.constraints else "collocated"
     return MAKERS[name](declaration, replace(a, name=name))
 
 
-def _collocated(declaration: PHDAE, a: Asked) -> Scheme:
+def _collocated(declaration: PHDAE, a: SchemeRequest) -> Scheme:
     del declaration
     _require_not_minimal(a, "use that, or --closure midpoint or end")
     if a.closure is None:
@@ -108,7 +108,7 @@ def _collocated(declaration: PHDAE, a: Asked) -> Scheme:
     return SemiExplicit(a.closure, a.gradient, a.name)
 
 
-def _two_level(declaration: PHDAE, a: Asked) -> Scheme:
+def _two_level(declaration: PHDAE, a: SchemeRequest) -> Scheme:
     _require_no_closure(a)
     if not declaration.constraints:
         raise DeclarationError(
@@ -119,20 +119,20 @@ def _two_level(declaration: PHDAE, a: Asked) -> Scheme:
     return TwoLevel(a.order // 2, a.gradient)
 
 
-def _gradient_pair(declaration: PHDAE, a: Asked) -> Scheme:
+def _gradient_pair(declaration: PHDAE, a: SchemeRequest) -> Scheme:
     del declaration
     _require_order_2(a)
     _require_not_minimal(a, "use --closure midpoint or end")
     return GradientPair(a.gradient, a.closure or "midpoint")
 
 
-def _dirac_dissipative(declaration: PHDAE, a: Asked) -> Scheme:
+def _dirac_dissipative(declaration: PHDAE, a: SchemeRequest) -> Scheme:
     del declaration
     _require_order_2(a)
     return DiracDissipative(a.closure or "midpoint", gradient=a.gradient)
 
 
-def _midpoint(declaration: PHDAE, a: Asked) -> Scheme:
+def _midpoint(declaration: PHDAE, a: SchemeRequest) -> Scheme:
     del declaration
     _require_no_closure(a)
     if a.order != 2 or a.gradient != "per-term":
@@ -142,7 +142,7 @@ def _midpoint(declaration: PHDAE, a: Asked) -> Scheme:
     return Midpoint()
 
 
-def _radau(declaration: PHDAE, a: Asked) -> Scheme:
+def _radau(declaration: PHDAE, a: SchemeRequest) -> Scheme:
     if a.order % 2 == 0:
         raise DeclarationError(
             "scheme radau", "has the orders 1, 3 and 5", f"order {a.order} is one of --scheme collocated", "order"
@@ -158,7 +158,7 @@ def _radau(declaration: PHDAE, a: Asked) -> Scheme:
 
 
 #: the names of `scheme_names.py`, and what makes the scheme or says why it does not fit
-MAKERS: dict[str, Callable[[PHDAE, Asked], Scheme]] = {
+MAKERS: dict[str, Callable[[PHDAE, SchemeRequest], Scheme]] = {
     "auto": _auto,
     "collocated": _collocated,
     "two-level": _two_level,

@@ -25,7 +25,7 @@ from phfmu.terms.term import CLOSED, CONSTRAINT, EMPTY, ENERGY, FLOW, JOINT, MAS
 
 @dataclass(frozen=True)
 class NodeKernels:
-    """Kernels at `nodes` with a discrete gradient of `discrete.py`, or "nodal"; `loses_energy`: book what the gradient misses."""
+    """Kernels at `nodes` with a discrete gradient of `discrete.py`, or "nodal"; `loses_energy`: book the gradient's error."""
 
     nodes: Nodes
     gradient: str

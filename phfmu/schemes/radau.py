@@ -13,7 +13,7 @@ from phfmu.declare.error import DeclarationError
 from phfmu.gradients.quadrature import Nodes, radau_nodes
 from phfmu.plan.layout import Layout
 from phfmu.plan.plan import Holds
-from phfmu.plan.planner import Maps
+from phfmu.plan.planner import SchemeMaps
 from phfmu.plan.spec import Spec
 from phfmu.plan.unknown import Unknown
 from phfmu.schemes.collocated import require_pairs
@@ -60,7 +60,7 @@ class Radau(GaussScheme):
         """Kernels of one term."""
         return NodeKernels(self.nodes, self.gradient, loses_energy=True).specs(term)
 
-    def maps(self, layout: Layout) -> Maps:
+    def maps(self, layout: Layout) -> SchemeMaps:
         return node_maps(layout, self.nodes)
 
     def holds(self, layout: Layout) -> Holds:

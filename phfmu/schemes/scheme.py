@@ -10,11 +10,11 @@ import numpy as np
 from phfmu.gradients.quadrature import Nodes, nodes
 from phfmu.plan.layout import Layout
 from phfmu.plan.plan import Holds
-from phfmu.plan.planner import Maps
+from phfmu.plan.planner import SchemeMaps
 from phfmu.plan.spec import Spec
 from phfmu.plan.unknown import ALGEBRAIC, COSTATE, INCREMENT, Role, Unknown, of_algebraics, of_states
 from phfmu.schemes.constraints.inertia import vanishing
-from phfmu.terms.condense import Condensed
+from phfmu.terms.condense import CondensedVariables
 from phfmu.terms.located import Row
 from phfmu.terms.rank import ConstraintsAtStart
 from phfmu.terms.term import Term, Terms
@@ -27,16 +27,16 @@ Triplet = tuple[int, int, float, int]
 
 
 class Scheme(Protocol):
-    """A one-step method: which unknowns it has and what kernels each kind of term becomes."""
+    """A one-step method: its unknowns, and the kernels of each kind of term."""
 
     @property
     def name(self) -> str:
-        """As users say it."""
+        """The name of the scheme in options, as in `--scheme`."""
         ...
 
     @property
     def gradient(self) -> str:
-        """As users say it."""
+        """The name of its discrete gradient in options, as in `--gradient`."""
         ...
 
     @property
@@ -56,7 +56,7 @@ class Scheme(Protocol):
 
     @property
     def loses_energy(self) -> bool:
-        """It has a numerical loss, which its ledger books."""
+        """True if the scheme has a numerical loss, which its ledger books."""
         ...
 
     @property
@@ -94,7 +94,7 @@ class Scheme(Protocol):
         """Constant entries (row, Y index, value, power of h)."""
         ...
 
-    def maps(self, layout: Layout) -> Maps:
+    def maps(self, layout: Layout) -> SchemeMaps:
         """Update of the states, means of the algebraic variables, start values of the next step."""
         ...
 
@@ -140,7 +140,7 @@ class GaussScheme:
 def node_unknowns(terms: Terms, k: int, costates: Iterable[int] | None = None) -> list[Unknown]:
     """Increments, algebraic variables, and the costates of these states (None: those of blocks of E) at every node."""
     solved = terms.solved_costates() if costates is None else costates
-    gone = set(terms.found(Condensed).variables)
+    gone = set(terms.found(CondensedVariables).variables)
     left = [a for a in range(terms.na) if a not in gone]
     out: list[Unknown] = []
     for node in range(k):
@@ -171,7 +171,7 @@ def node_constants(layout: Layout, costates: Iterable[int] | None = None) -> lis
     return out
 
 
-def node_maps(layout: Layout, nd: Nodes, *, even: bool = False) -> Maps:
+def node_maps(layout: Layout, nd: Nodes, *, even: bool = False) -> SchemeMaps:
     """x' = x + sum b_i D_i, means sum b_i a_i, and the last step's polynomial extrapolated; other unknowns start as they were.
 
     `even`: a step starts with the means of the last one at all of its nodes instead.  The polynomial through k = 3 nodes
@@ -192,7 +192,7 @@ def node_maps(layout: Layout, nd: Nodes, *, even: bool = False) -> Maps:
             continue
         last = [layout.at(u.role, u.index, j) for j in range(layout.k)]
         guess.append([(last[j], float(ahead[u.node, j]), int(u.role is INCREMENT)) for j in range(layout.k)])
-    return Maps(update, mean, guess, nd.b, nd.c)
+    return SchemeMaps(update, mean, guess, nd.b, nd.c)
 
 
 def node_holds(layout: Layout, *levels: Role) -> Holds:

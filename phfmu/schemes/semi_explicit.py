@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from phfmu.plan.layout import Layout
-from phfmu.plan.planner import Maps
+from phfmu.plan.planner import SchemeMaps
 from phfmu.plan.spec import Spec
 from phfmu.plan.unknown import Unknown
 from phfmu.schemes import closure
@@ -19,14 +19,14 @@ from phfmu.schemes.scheme import GaussScheme, node_unknowns
 from phfmu.terms.term import Term, Terms
 
 
-class WithClosure(GaussScheme):
-    """The methods; `closure`, `gradient` and `name` belong to the scheme that has them."""
+class ClosureScheme(GaussScheme):
+    """Base of the schemes with a closure; `closure`, `gradient` and `name` belong to the scheme that has them."""
 
     closure: str
     name: str
 
     def prepare(self, terms: Terms) -> Terms:
-        """The terms with their closures; DeclarationError says what does not fit."""
+        """The terms with their closures; DeclarationError names a remedy for terms that do not fit."""
         require_pairs(terms, 1)
         closure.require(self.closure, self.name)
         return closure.add(terms)
@@ -40,12 +40,12 @@ class WithClosure(GaussScheme):
             return closure.specs(term, self.closure)
         return NodeKernels(self.nodes, self.gradient).specs(term)
 
-    def maps(self, layout: Layout) -> Maps:
+    def maps(self, layout: Layout) -> SchemeMaps:
         return closure.maps(layout)
 
 
 @dataclass(frozen=True)
-class SemiExplicit(WithClosure):
+class SemiExplicit(ClosureScheme):
     """closure: where x2 of a step belongs, "end" | "start" | "midpoint";  gradient: as for `Collocated(1)`."""
 
     closure: str = "midpoint"

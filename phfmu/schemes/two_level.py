@@ -31,7 +31,7 @@ class TwoLevel(Collocated):
     two_level = True
 
     def prepare(self, terms: Terms) -> Terms:
-        """The terms with the masses of their constraints; DeclarationError says what does not fit."""
+        """The terms with the masses of their constraints; DeclarationError names a remedy for terms that do not fit."""
         require_pairs(terms, self.k)
         require_gradient(self.gradient, self.k)
         if self.k % 2 == 0:

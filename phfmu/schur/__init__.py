@@ -1,1 +1,1 @@
-"""The Schur stepper of constrained particles: what a model must be like, its tables, its functions as C."""
+"""The Schur stepper of constrained particles: its conditions, its tables, its functions as C."""

@@ -1,4 +1,4 @@
-"""Functions of the Schur stepper in reverse as C text: what the way back over its steps takes (`reverse/schur_back.inc`).
+"""Functions of the Schur stepper in reverse as C text, for the way back over its steps (`reverse/schur_back.inc`).
 
 The bars of the results of a function become those of its arguments.  Bars of coordinates and rates are wanted in every sweep,
 those of parameters and inputs once a step.

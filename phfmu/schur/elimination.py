@@ -53,8 +53,8 @@ class Elimination:
         return len(self.product_ptr) - 1
 
 
-class Pattern:
-    """Order and pattern of L for given rows: what an elimination would cost, before its lists are made."""
+class FactorPattern:
+    """Order and pattern of L for given rows: the cost of an elimination, before its lists are made."""
 
     def __init__(self, rows: Sequence[Row], light: Sequence[int] = (), unit: int = 0):
         """`light`: degrees of freedom with a row of their own behind the others, the transposed column of their gradients,
@@ -133,7 +133,7 @@ class Pattern:
         return int(self.n + first + np.searchsorted(self.below[first:last], i))
 
     def _updates(self, j: int) -> np.ndarray:
-        """Targets, left and right factors of what column j takes from the later ones (3 x updates)."""
+        """Targets, left and right factors of the updates of later columns by column j (3 x updates)."""
         first, last = int(self.start[j]), int(self.start[j + 1])
         rows, entries = self.below[first:last], self.n + np.arange(first, last)
         parts = [np.zeros((3, 0), np.int64)]
@@ -171,4 +171,4 @@ def updates(column: np.ndarray) -> int:
 
 def eliminate(rows: Sequence[Row], light: Sequence[int] = (), unit: int = 0) -> Elimination:
     """The elimination of rows given as lists of (degree of freedom, gradient slot, sign)."""
-    return Pattern(rows, light, unit).elimination()
+    return FactorPattern(rows, light, unit).elimination()

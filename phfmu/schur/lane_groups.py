@@ -75,7 +75,7 @@ class Instances:
         self.multiplier.append(multiplier)
 
     def sort(self) -> None:
-        """By the last degree of freedom."""
+        """Sort the instances by their last degree of freedom."""
         order = np.argsort(self.reach(max, -1), kind="stable")
         for name in ("x", "z", "o", "u", "p", "multiplier"):
             values = getattr(self, name)

@@ -38,7 +38,7 @@ NUMBERS = ("start", "stress", "mass", "load")
 
 @dataclass(frozen=True)
 class LaneKernel:
-    """One local function; `kind` says what its arguments and results are (d coordinates, e their rates):
+    """One local function; `kind` names its arguments and results (d coordinates, e their rates):
 
     constraint  (d, e, p) -> (Dg, e^T D2g)            lanes
     strain      (d, p) -> DC                          lanes
@@ -190,12 +190,12 @@ def _opposites(f: ca.Function) -> Differences:
 
 
 def mass(term: Term) -> Lanes:
-    """1/m."""
+    """The inverse 1/m of a mass."""
     return Lanes((lane_kernel("mass", [_p(term)], [1 / term.data["m"]]),), o=_singles(1))
 
 
 def no_mass(term: Term) -> bool:
-    """Whether a mass is zero whatever the parameters are."""
+    """True if a mass is zero whatever the parameters are."""
     return ca.SX(term.data["m"]).is_zero()
 
 

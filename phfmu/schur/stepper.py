@@ -1,4 +1,4 @@
-"""The Schur stepper of a holonomic model: what its fast solver needs beside the plan, where its conditions hold.
+"""The Schur stepper of a holonomic model: the tables of its fast solver beside the plan, where its conditions hold.
 
     q' = v + M^-1 Dg^T mu,   M v' = f(q, q', u) - DV(q) - Dg^T lambda - (v^T D2g)^T mu,   Dg q' = 0 at the nodes, Dg v = 0
 
@@ -19,7 +19,7 @@ from phfmu.declare.energy import EnergyKind
 from phfmu.declare.expressions.operations import degree, piecewise
 from phfmu.declare.variable import Value
 from phfmu.gradients.quadrature import nodes
-from phfmu.plan.differences import Sampled
+from phfmu.plan.differences import StackedFunction
 from phfmu.plan.layout import Layout
 from phfmu.plan.plan import Floats, Ints, Plan
 from phfmu.plan.unknown import ALGEBRAIC, COSTATE, INCREMENT
@@ -27,7 +27,7 @@ from phfmu.schemes.constraints import inertia
 from phfmu.schemes.constraints.constraints import VELOCITY_LEVEL
 from phfmu.schemes.scheme import Scheme
 from phfmu.schur import lanes
-from phfmu.schur.elimination import Elimination, Pattern, eliminate, factor_pattern, updates
+from phfmu.schur.elimination import Elimination, FactorPattern, eliminate, factor_pattern, updates
 from phfmu.schur.lane_groups import Instances, LaneGroup, Tiles, tiled
 from phfmu.schur.lanes import Lanes, NoLanes
 from phfmu.terms.located import Constant, Row
@@ -115,7 +115,7 @@ def _require(condition: bool) -> None:
 
 
 class _Builder:
-    """Collects the instances of one model; every method raises _Unfit or NoLanes for what the Schur stepper cannot take."""
+    """Collects the instances of one model; every method raises _Unfit or NoLanes for a term the Schur stepper cannot take."""
 
     def __init__(self, layout: Layout, plan: Plan):
         self.layout, self.terms, self.plan = layout, layout.terms, plan
@@ -180,7 +180,7 @@ class _Builder:
             if not self._once("none", term, lambda: lanes.no_mass(term)):
                 self._add(self._once("mass", term, lambda: lanes.mass(term)), term, o=[self.dof_v[row]])
             return
-        value = self._once("value", term, lambda: Sampled(ca.Function("m", [p], [ca.densify(m)])))
+        value = self._once("value", term, lambda: StackedFunction(ca.Function("m", [p], [ca.densify(m)])))
         _require(bool(value([np.array([self.start[i] for i in term.indices(Value.PARAMETER)], float)])[0] > 0))
         self._add(self._once("mass", term, lambda: lanes.mass(term)), term, o=[self.dof_v[row]])
 
@@ -201,7 +201,7 @@ class _Builder:
         self._add(self._once("strain", term, lambda: lanes.strain(term, self.layout.k)), term, x=dofs)
 
     def _is_kinetic(self, term: Term) -> bool:
-        """Its costates are the velocities themselves, z_v = v."""
+        """True if the costates of a term are the velocities themselves, z_v = v."""
         x = term.local[Value.STATE]
         defect = ca.gradient(term.data["H"], x) * term.data["scale"] - x
         f = ca.Function("f", [x, term.symbols(Value.PARAMETER)], [defect])
@@ -284,7 +284,7 @@ class _Builder:
 
     def _soft(self, rows: list[list[tuple[int, int, float]]]) -> Elimination | None:
         """The elimination of all rows where it is cheap beside the factor of the Newton matrix."""
-        soft = Pattern(rows)
+        soft = FactorPattern(rows)
         if soft.updates > FEW * len(rows):
             nw, a = self.plan.nw, self.plan.matrix
             matrix = ca.Sparsity.triplet(nw, nw, a.row.tolist(), a.col.tolist())

@@ -36,7 +36,7 @@ EXPRESSIONS = dict(LOGIC.values()) | {f: f"{f}(x)" for f in FUNCTIONS.values()} 
 CONSTANT, NUMBER, LANE, INNER = range(4)
 TYPES = ("double", "ph_real", "ph_lane", "ph_inner")
 PREFIXES = ("", "number", "lane", "inner")
-#: how one becomes another
+#: conversions of one into another
 RAISED = {
     (CONSTANT, NUMBER): "PH_REAL_SPREAD", (CONSTANT, LANE): "PH_CONSTANT", (NUMBER, LANE): "PH_SPREAD",
     (CONSTANT, INNER): "PH_INNER_CONSTANT", (NUMBER, INNER): "PH_INNER_SPREAD", (LANE, INNER): "PH_INNER",
@@ -96,7 +96,7 @@ def _number(value: float) -> str:
 
 
 def _operation(op: int, operands: Sequence[tuple[str, int]]) -> tuple[str, int]:
-    """C text of an operation and what its result is: arithmetic has constants as they are."""
+    """C text of an operation and the type of its result: arithmetic has constants as they are."""
     kind = max(of for _, of in operands)
     if op in ARITHMETIC:
         a, b = (text if of == CONSTANT else _raised((text, of), kind) for text, of in (operands[0], operands[-1]))

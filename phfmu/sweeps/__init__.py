@@ -1,1 +1,1 @@
-"""Many runs of one model: what varies, what is measured of each, and the table of both."""
+"""Many runs of one model: designs, measures, and the table of both."""

@@ -1,4 +1,4 @@
-"""Designs: what varies from run to run, by axes on the command line, their product, or the rows of a table."""
+"""Designs: values that vary from run to run, by axes on the command line, their product, or the rows of a table."""
 
 from __future__ import annotations
 

@@ -18,11 +18,11 @@ from phfmu.network.members.consistent import InconsistentState
 from phfmu.outcome.status import StepFailure
 from phfmu.runs.loop import run
 from phfmu.runs.options import Options
-from phfmu.sweeps.outcome import Outcome, Stopped
+from phfmu.sweeps.outcome import RunOutcomes, SweepStopped
 from phfmu.sweeps.places import INPUT, PARAMETER, STATE, Places
 from phfmu.sweeps.task import ModelTask, Task
 
-#: what steps a run that begins with these values, and the options of that run
+#: the stepper of a run that begins with these values, and the options of that run
 Make = Callable[[Mapping[str, float]], tuple[Stepper, Options]]
 
 
@@ -37,31 +37,31 @@ class GeneralRuns:
         self._before: Stepper | None = None
         self._stopped = False
 
-    def take(self, rows: NDArray[Any], first: int = 0) -> Outcome:
+    def take(self, rows: NDArray[Any], first: int = 0) -> RunOutcomes:
         """Runs with these values (n x names), of which the first has this number."""
-        return Outcome.joined([self._one(row, first + i) for i, row in enumerate(np.asarray(rows, float))])
+        return RunOutcomes.joined([self._one(row, first + i) for i, row in enumerate(np.asarray(rows, float))])
 
     def stop(self) -> None:
-        """From another thread: runs under way end with Stopped."""
+        """Called from another thread: end runs under way with SweepStopped."""
         self._stopped = True
 
     def _goes_on(self, _: float) -> None:
         if self._stopped:
-            raise Stopped
+            raise SweepStopped
 
-    def _one(self, row: NDArray[Any], number: int) -> Outcome:
+    def _one(self, row: NDArray[Any], number: int) -> RunOutcomes:
         task = self._task
         try:
             stepper, options = self._make(dict(zip(task.names, row.tolist(), strict=True)))
             self._before = stepper
             found = run(stepper, replace(options, progress=self._goes_on))
         except (StepFailure, InconsistentState) as error:
-            return Outcome(np.full((1, len(task.measures)), np.nan), np.zeros(1, int), np.zeros(1), (str(error),))
+            return RunOutcomes(np.full((1, len(task.measures)), np.nan), np.zeros(1, int), np.zeros(1), (str(error),))
         if self._keep is not None:
             found.save(self._keep / f"{number:06d}.parquet")
         told = [m.of(found.time, found.column(m.signal)) for m in task.measures]
         missed = found.ledger.summary().most
-        return Outcome(np.array([told]).reshape(1, -1), np.array([found.steps]), np.array([missed]), ("",))
+        return RunOutcomes(np.array([told]).reshape(1, -1), np.array([found.steps]), np.array([missed]), ("",))
 
 
 def of_model(task: ModelTask, engine: type) -> Make:

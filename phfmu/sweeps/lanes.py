@@ -16,9 +16,9 @@ import numpy as np
 from phfmu.engine.build.codegen import solver_text
 from phfmu.engine.build.compile import Source, compile, find, host_flags
 from phfmu.engine.build.runtime_sources import headers
-from phfmu.engine.native.code import Interpreted
-from phfmu.engine.native.compiled import made_of
+from phfmu.engine.native.code import InterpretedCode
 from phfmu.engine.native.native import NativeInstance
+from phfmu.engine.native.native_model import native_model
 from phfmu.schur.stepper import SchurStepper
 
 #: runs side by side
@@ -33,13 +33,13 @@ NODES = 1
 EARNS = 5_000_000
 
 
-class Lanes:
+class LaneMemory:
     """Memory of the steps of runs side by side, at `address`, with the address of the books of all.
 
     fits: whether the steps of the model can be taken so
     """
 
-    def __init__(self, code: Interpreted, lib: ctypes.CDLL, model: int, books: int):
+    def __init__(self, code: InterpretedCode, lib: ctypes.CDLL, model: int, books: int):
         self._code, self._lib = code, lib
         size = lib.ph_lanes_size(model, code.address)
         self._memory = np.zeros(size // 8 + 9)
@@ -52,26 +52,26 @@ class Lanes:
         return self._lib.ph_lanes_taken(self.address)
 
 
-def lanes_of(instance: NativeInstance, lib: ctypes.CDLL, books: int, solver: Solver | None) -> Lanes | None:
+def lanes_of(instance: NativeInstance, lib: ctypes.CDLL, books: int, solver: LaneSolver | None) -> LaneMemory | None:
     """Lanes for runs of the model of an instance, with the address of their books, `solver`: its Schur stepper's.
 
     None if the library does not take the steps of the model so.
     """
-    made = made_of(instance.model, instance.kind)
+    native = native_model(instance.model, instance.kind)
     at = None if solver is None else solver.address
-    code = Interpreted(made.kernels, lib=lib, prefix="ph_wide_interpret", solver=at)
-    lanes = Lanes(code, lib, made.tables.pointer, books)
+    code = InterpretedCode(native.kernels, lib=lib, prefix="ph_wide_interpret", solver=at)
+    lanes = LaneMemory(code, lib, native.tables.pointer, books)
     return lanes if lanes.fits else None
 
 
 def why_not(instance: NativeInstance) -> str:
     """Why the steps of a model are taken run by run; "" if lanes take them."""
-    made, plan = made_of(instance.model, instance.kind), instance.model.step
-    if made.kernels.unknown:
+    native, plan = native_model(instance.model, instance.kind), instance.model.step
+    if native.kernels.unknown:
         return "an equation has an operation that only compiled code has"
     if plan.nw == 0:
         return "its steps are explicit"
-    if plan.schur is None or not made.code.compiled:
+    if plan.schur is None or not native.code.compiled:
         return f"Newton's method with {len(plan.hold)} constraints that may come to rest" if len(plan.hold) else ""
     if plan.hold.rests.any():
         return "redundant constraints rest, which are looked at in each step of a run"
@@ -82,7 +82,7 @@ def why_not(instance: NativeInstance) -> str:
     )
 
 
-class Solver:
+class LaneSolver:
     """A Schur stepper compiled for runs side by side; `address`: of its ph_schur_code.  CompilerMissing, CompileError."""
 
     def __init__(self, schur: SchurStepper):

@@ -1,4 +1,4 @@
-"""Runs in compiled code: one call takes many, side by side where that pays, and only what is measured is worked out."""
+"""Runs in compiled code: one call takes many, side by side where that pays, and only measured values are worked out."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from phfmu.engine.native.library import drivers
 from phfmu.engine.native.native import NativeInstance
 from phfmu.engine.native.structures import Header, Structures
 from phfmu.network.couplings.monolithic import Monolithic
-from phfmu.network.members.columns import Columns
+from phfmu.network.members.columns import SignalColumns
 from phfmu.network.members.consistent import InconsistentState, require_consistent
 from phfmu.network.members.inputs import with_bare
 from phfmu.network.scene import Event
@@ -32,8 +32,8 @@ from phfmu.runs.loop import segments
 from phfmu.runs.march.march import pieces
 from phfmu.runs.march.stretches import stretches
 from phfmu.sweeps import lanes as side_by_side
-from phfmu.sweeps.lanes import LANES, Lanes, Solver, lanes_of, why_not
-from phfmu.sweeps.outcome import Outcome, Stopped
+from phfmu.sweeps.lanes import LANES, LaneMemory, LaneSolver, lanes_of, why_not
+from phfmu.sweeps.outcome import RunOutcomes, SweepStopped
 from phfmu.sweeps.places import INPUT, PARAMETER, Places
 from phfmu.sweeps.task import ModelTask
 from phfmu.sweeps.words import KINDS
@@ -44,7 +44,7 @@ LISTS = {"place": "places", "change": "changes", "stretch": "stretches", "measur
 HEADER = Header(
     (RUNTIME / "runs.h", RUNTIME / "books.h"), (*(f"ph_runs_{kind}" for kind in LISTS), "ph_runs", "ph_books")
 )
-#: what runs.c answers for runs that were told to stop
+#: answer of runs.c for runs that were told to stop
 STOPPED = -2
 #: steps of a thread that earn what lanes take once: 10 to 50 ms for instances, books and programs
 PAYS = 20_000
@@ -53,8 +53,8 @@ ENERGIES = ("constant", "was", "now", "carry", "varying")
 
 
 def fits(task: ModelTask) -> bool:
-    """Whether the compiled loop takes these runs: equal steps without damping, a projected start or state events, and without
-    events that change what of H is constant."""
+    """True if the compiled loop takes these runs: equal steps without damping, a projected start or state events, and without
+    events that change the constant part of H."""
     o = task.options
     if o.rtol is not None or o.restart or o.project or task.model.events is not None:
         return False
@@ -62,7 +62,7 @@ def fits(task: ModelTask) -> bool:
 
 
 def _constants_kept(task: ModelTask) -> bool:
-    """Whether no event sets a parameter that the constant part of H depends on."""
+    """True if no event sets a parameter that the constant part of H depends on."""
     own, places = Constants(task.model).parameters, Places(task.model)
     return not own or not any(p.index in own for e in task.options.events for p in places.of(e.name, (PARAMETER,)))
 
@@ -80,8 +80,8 @@ def _library() -> ctypes.CDLL:
     return lib
 
 
-class Books:
-    """ph_books, of one run or of `lanes` runs side by side."""
+class RunBooks:
+    """The structure ph_books: the ledger of one run, or of `lanes` runs side by side."""
 
     def __init__(self, task: ModelTask, instance: NativeInstance, lib: ctypes.CDLL, lanes: int = 1):
         booking, memory, ncomp = Monolithic(task.model, instance).booking, Structures(HEADER), task.model.step.ncomp
@@ -97,13 +97,13 @@ class Books:
         self.address = ctypes.addressof(self._struct)
 
 
-class _Run:
-    """An instance with the structure that runs.c works on."""
+class _NativeRun:
+    """An instance with the structure ph_runs, on which runs.c works."""
 
     def __init__(self, task: ModelTask, lib: ctypes.CDLL, stop: NDArray[Any]):
         self.instance, self._memory, self._stop = NativeInstance(task.model), Structures(HEADER), stop
         self._model = task.model
-        self._books = Books(task, self.instance, lib)
+        self._books = RunBooks(task, self.instance, lib)
         self.struct = self._memory.fill("ph_runs", self._values(task))
 
     def why(self, code: int) -> str:
@@ -118,7 +118,7 @@ class _Run:
 
     def _values(self, task: ModelTask) -> dict[str, Any]:
         model, plan, layout, o = task.model, task.model.step, self.instance.layout, task.options
-        memory, columns = self._memory, Columns(model, layout)
+        memory, columns = self._memory, SignalColumns(model, layout)
         measured = [(m.kind, *columns.place(m.signal)) for m in task.measures]
         ends, energies = layout["a_end"].start, layout["H"].start
         places, kinds = Places(model), list(KINDS)
@@ -163,19 +163,19 @@ class NativeRuns:
         self._task, self._width, self._count = task, len(task.names), len(task.measures)
         self._steps = (task.options.stop - task.options.t0) / task.options.step
         self._stop, self._lib = np.zeros(1, np.intc), _library()
-        self._each = [_Run(task, self._lib, self._stop)]
+        self._each = [_NativeRun(task, self._lib, self._stop)]
         self._held, places = Constants(task.model), Places(task.model)
         named = [(p, j) for j, n in enumerate(task.names) for p in places.of(n)]
         self._parameters = [(p.index, j) for p, j in named if p.kind == PARAMETER]
         own = self._held.parameters
         self._varies = any(place in own for place, _ in self._parameters)
-        self._lanes: Lanes | None = None
+        self._lanes: LaneMemory | None = None
         self._expected = 0.0
         self._alone = self._why_not() if lanes else ""
         self._may = lanes and not self._alone
         self._found: bool | None = None
 
-    def take(self, rows: NDArray[Any], first: int = 0) -> Outcome:
+    def take(self, rows: NDArray[Any], first: int = 0) -> RunOutcomes:
         """Runs with these values (n x names); their numbers do not matter here."""
         del first
         rows, n = np.ascontiguousarray(rows, float), len(rows)
@@ -195,12 +195,12 @@ class NativeRuns:
             last = begun + (done - 1) // many * many
             for i in range(last, begun + done):
                 if status[i] == STOPPED:
-                    raise Stopped
+                    raise SweepStopped
                 if status[i]:
                     errors[i] = self._each[i - last].why(int(status[i]))
             begun += done
         steps = facts[:, 0].astype(int)
-        return Outcome(values, steps, facts[:, 1].copy(), tuple(errors), self._inside - before, self._alone)
+        return RunOutcomes(values, steps, facts[:, 1].copy(), tuple(errors), self._inside - before, self._alone)
 
     def _begin_lanes(self, n: int) -> None:
         """Instances for runs side by side, once there are some, of steps enough."""
@@ -210,14 +210,14 @@ class NativeRuns:
         self._may = False
         instance, schur = self._each[0].instance, self._task.model.step.schur
         try:
-            solver = None if schur is None else Solver(schur)
+            solver = None if schur is None else LaneSolver(schur)
         except (CompilerMissing, CompileError, OSError) as error:
             self._alone = f"its Schur stepper is not compiled for several ({error})"
             return
-        self._books = Books(self._task, instance, self._lib, LANES)
+        self._books = RunBooks(self._task, instance, self._lib, LANES)
         self._lanes = lanes_of(instance, self._lib, self._books.address, solver)
         if self._lanes is not None:
-            self._each += [_Run(self._task, self._lib, self._stop) for _ in range(LANES - 1)]
+            self._each += [_NativeRun(self._task, self._lib, self._stop) for _ in range(LANES - 1)]
 
     def _has_solver(self) -> bool:
         """True if the Schur stepper of several runs was compiled before, or the steps to come earn the compiler's time."""
@@ -225,7 +225,7 @@ class NativeRuns:
         if schur is None or self._expected >= side_by_side.EARNS:
             return True
         if self._found is None:
-            self._found = Solver.found(schur)
+            self._found = LaneSolver.found(schur)
         return self._found
 
     def _why_not(self) -> str:
@@ -252,12 +252,12 @@ class NativeRuns:
         return found
 
     def stop(self) -> None:
-        """From another thread: runs under way end with Stopped."""
+        """Called from another thread: end runs under way with SweepStopped."""
         self._stop[0] = 1
 
 
 def _schedule(task: ModelTask, places: Places) -> dict[str, list[dict[str, Any]]]:
-    """Stretches of equal steps, and what the events at their starts set, as the run loop has them."""
+    """Stretches of equal steps, and the changes by the events at their starts, as the run loop has them."""
     o, ports = task.options, task.model.declaration.ports
     free = with_bare([n for p in ports if p.external for n in p.input_names()])
     found = _Schedule(places)
@@ -284,7 +284,7 @@ class _Schedule:
         self.stretches, self.changes = list[dict[str, Any]](), list[dict[str, Any]]()
 
     def set(self, e: Event, apart: bool = False) -> None:
-        """What an event sets; `apart`: after what those before it have set has been taken."""
+        """Add the changes of an event; `apart`: the model takes those of the events before it first."""
         if apart and len(self.changes) > self._begun:
             self.steps(e.t, 1.0, 0, 0)
         found = self._places.of(e.name, (PARAMETER, INPUT))

@@ -13,13 +13,13 @@ import numpy as np
 
 from phfmu.files import beside
 from phfmu.sweeps.design import Design
-from phfmu.sweeps.outcome import Outcome
+from phfmu.sweeps.outcome import RunOutcomes
 
 ENDING = ".part"
 
 
 def digest(words: str, design: Design) -> str:
-    """Hash of all that the outcomes depend on: the design, and what is run."""
+    """Hash of all that the outcomes depend on: the design and the words of the task."""
     text = "\n".join((words, *design.names))
     return hashlib.sha256(text.encode() + design.rows.astype("<f8").tobytes()).hexdigest()
 
@@ -50,7 +50,7 @@ class Parts:
         self._folder.mkdir(parents=True)
         stamp.write_text(self._key)
 
-    def keep(self, first: int, outcome: Outcome) -> None:
+    def keep(self, first: int, outcome: RunOutcomes) -> None:
         """Write the runs from `first` on, whole or not at all; OSError that names the file."""
         arrays = io.BytesIO()
         np.savez(
@@ -67,7 +67,7 @@ class Parts:
             raise OSError(error.errno, error.strerror, str(path)) from error
         self.runs += len(outcome.errors)
 
-    def kept(self) -> Iterator[tuple[int, Outcome]]:
+    def kept(self) -> Iterator[tuple[int, RunOutcomes]]:
         """(number of the first run, outcome) of all blocks; one that is none is said on stderr, and removed."""
         for path in sorted(self._folder.glob(f"*{ENDING}")):
             found = self._read(path)
@@ -89,7 +89,7 @@ class Parts:
     def _checksum(self, arrays: bytes) -> bytes:
         return hashlib.sha256(self._key.encode() + arrays).digest()
 
-    def _read(self, path: Path) -> Outcome | None:
+    def _read(self, path: Path) -> RunOutcomes | None:
         data = path.read_bytes()
         size = hashlib.sha256().digest_size
         if data[:size] != self._checksum(data[size:]):
@@ -97,4 +97,4 @@ class Parts:
         with np.load(io.BytesIO(data[size:])) as f:
             if path.stem != f"{int(f['first']):09d}":
                 return None
-            return Outcome(f["values"], f["steps"], f["ledger"], tuple(map(str, f["errors"])))
+            return RunOutcomes(f["values"], f["steps"], f["ledger"], tuple(map(str, f["errors"])))

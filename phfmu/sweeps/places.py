@@ -14,15 +14,15 @@ PARAMETER, STATE, INPUT = range(3)
 
 
 @dataclass(frozen=True)
-class Place:
-    """Entry `index` of the parameters, states or inputs."""
+class RunPlace:
+    """The place of a value that runs set: entry `index` of the parameters, states or inputs."""
 
     kind: int
     index: int
 
 
 class Places:
-    """Names that runs may set."""
+    """Places of the values that runs may set, by name."""
 
     def __init__(self, model: Model):
         d = self._declaration = model.declaration
@@ -33,16 +33,16 @@ class Places:
         )
         self._tables = [{n: i for i, n in enumerate(kind)} for kind in names]
 
-    def of(self, name: str, kinds: Sequence[int] = (PARAMETER, STATE, INPUT)) -> list[Place]:
+    def of(self, name: str, kinds: Sequence[int] = (PARAMETER, STATE, INPUT)) -> list[RunPlace]:
         """Entries that a name means, those of all entries for the bare name of a vector; KeyError names close ones."""
         for kind in kinds:
             found = places(self._tables[kind], name)
             if found:
-                return [Place(kind, i) for i in found]
+                return [RunPlace(kind, i) for i in found]
         raise KeyError(self._declaration.unknown_name(name))
 
     def require_free(self, names: Sequence[str], events: Sequence[Event], t0: float) -> None:
-        """ValueError if an event sets at the start what varies."""
+        """Raise ValueError if an event at the start sets a value that varies."""
         varied = {p: name for name in names for p in self.of(name)}
         for e in (e for e in events if e.t <= t0):
             for p in self.of(e.name, (PARAMETER, INPUT)):

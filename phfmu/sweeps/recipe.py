@@ -1,4 +1,4 @@
-"""How what takes the runs of a sweep is made, here and in other processes."""
+"""Recipes by which the runner of a sweep is made, here and in other processes."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from phfmu.network.scene import Scene
     from phfmu.runs.options import Options
     from phfmu.schemes.scheme import Scheme
-    from phfmu.sweeps.crew import Runs
     from phfmu.sweeps.general_runs import Make
+    from phfmu.sweeps.worker_pool import Runs
 
 Target: TypeAlias = Union["Scene", "PHDAE"]
 
@@ -30,7 +30,7 @@ def words_of(model: Model) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Recipe:
-    """A target, or what gives it, and what is done with it.
+    """The recipe of runs of one composed model: a target or a function that gives it, and what is varied and measured.
 
     keep: folder for the whole result of each run;  lanes: whether runs may be stepped side by side
     """
@@ -103,7 +103,7 @@ class Recipe:
 
 @dataclass(frozen=True)
 class Steppers:
-    """What is stepped otherwise than as one composed model: members apart, units.
+    """A target that is stepped otherwise than as one composed model: members apart, units.
 
     make:  values -> the stepper of a run that begins with them, and its options; each thread calls it for each of its runs
     words: all that outcomes depend on besides the values, by which a sweep that is gone on with is known
@@ -115,7 +115,7 @@ class Steppers:
 
 @dataclass(frozen=True)
 class StepperRecipe:
-    """As `Recipe`, for steppers."""
+    """The recipe of runs by steppers, as `Recipe` is of those of one composed model."""
 
     target: Steppers
     names: tuple[str, ...]

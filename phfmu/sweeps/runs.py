@@ -16,7 +16,7 @@ from phfmu import __version__
 from phfmu.files import beside
 from phfmu.processors import processors
 from phfmu.sweeps.design import Design
-from phfmu.sweeps.outcome import Outcome
+from phfmu.sweeps.outcome import RunOutcomes
 from phfmu.sweeps.parts import Parts, digest
 from phfmu.sweeps.recipe import Recipe, StepperRecipe, Steppers, Target
 from phfmu.sweeps.task import Task
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from phfmu.runs.options import Options
     from phfmu.schemes.scheme import Scheme
-    from phfmu.sweeps.crew import Crew, Scheduler
+    from phfmu.sweeps.worker_pool import Scheduler, WorkerPool
 
 #: most runs that are handed to a worker at once, and how many times a worker gets some
 BLOCK, TURNS = 512, 8
@@ -73,10 +73,12 @@ def sweep(
     task = recipe.task()
     if keep is not None:
         keep.mkdir(parents=True, exist_ok=True)
-    with _crew(recipe, task, jobs, scheduler) as crew:  # before the parts: without a cluster those of before stay
+    with _worker_pool(
+        recipe, task, jobs, scheduler
+    ) as pool:  # before the parts: without a cluster those of before stay
         parts = None if file is None else Parts(file, _key(task, recipe, design), resume=resume)
         try:
-            outcome = taken(crew, design, parts, progress or (lambda _: None), recipe.at_once)
+            outcome = taken(pool, design, parts, progress or (lambda _: None), recipe.at_once)
         except (KeyboardInterrupt, OSError) as stop:
             stop.add_note(
                 parts.told(len(design.rows)) if parts is not None else "nothing of it is kept: it has no -o FILE"
@@ -108,8 +110,10 @@ def _write(table: pa.Table, file: Path, parts: Parts) -> None:
     parts.remove()
 
 
-def _crew(recipe: Any, task: Task, jobs: int | None, scheduler: Scheduler | None) -> AbstractContextManager[Crew]:
-    from phfmu.sweeps.crew import Threads, cluster
+def _worker_pool(
+    recipe: Any, task: Task, jobs: int | None, scheduler: Scheduler | None
+) -> AbstractContextManager[WorkerPool]:
+    from phfmu.sweeps.worker_pool import Threads, cluster
 
     if scheduler is None:
         return nullcontext(Threads(lambda: recipe.runs(task), jobs or processors()))
@@ -128,18 +132,18 @@ def _key(task: Task, recipe: Recipe | StepperRecipe, design: Design) -> str:
 
 
 def taken(
-    crew: Crew, design: Design, parts: Parts | None, progress: Callable[[int], None], at_once: int = 1
-) -> Outcome:
-    """All runs, in blocks that the crew takes as it gets ready, of as many as are taken at once, or of some times as many."""
-    found: dict[int, Outcome] = dict(parts.kept()) if parts is not None else {}
+    pool: WorkerPool, design: Design, parts: Parts | None, progress: Callable[[int], None], at_once: int = 1
+) -> RunOutcomes:
+    """All runs, in blocks that the pool takes as it gets ready, of as many as are taken at once, or of some times as many."""
+    found: dict[int, RunOutcomes] = dict(parts.kept()) if parts is not None else {}
     known = {run for first, o in found.items() for run in range(first, first + len(o.errors))}
-    size = max(1, min(BLOCK, -(-len(design.rows) // (crew.size * TURNS * at_once)) * at_once))
+    size = max(1, min(BLOCK, -(-len(design.rows) // (pool.size * TURNS * at_once)) * at_once))
     todo = _blocks(len(design.rows), size, known)
-    keep = _Keeper(found, len(known), parts, progress)
+    keep = _BlockStore(found, len(known), parts, progress)
     if not todo:
         return keep.joined()
-    with crew.at_work(len(todo)) as submit:
-        waiting: dict[Future[Outcome], int] = {}
+    with pool.at_work(len(todo)) as submit:
+        waiting: dict[Future[RunOutcomes], int] = {}
         for a, b in todo:
             waiting[submit(design.rows[a:b], a)] = a
             _keep_done(waiting, keep, wait_for_one=False)
@@ -148,7 +152,7 @@ def taken(
     return keep.joined()
 
 
-def _keep_done(waiting: dict[Future[Outcome], int], keep: _Keeper, *, wait_for_one: bool) -> None:
+def _keep_done(waiting: dict[Future[RunOutcomes], int], keep: _BlockStore, *, wait_for_one: bool) -> None:
     """Blocks that are ready leave `waiting`."""
     done = wait(waiting, return_when=FIRST_COMPLETED).done if wait_for_one else {f for f in waiting if f.done()}
     for future in sorted(done, key=waiting.__getitem__):
@@ -163,26 +167,26 @@ def _blocks(n: int, size: int, known: set[int]) -> list[tuple[int, int]]:
 
 
 @dataclass
-class _Keeper:
+class _BlockStore:
     """Blocks of runs by the number of the first one, on disk too; `done`: how many runs there are in all."""
 
-    found: dict[int, Outcome]
+    found: dict[int, RunOutcomes]
     done: int
     parts: Parts | None
     progress: Callable[[int], None]
 
-    def __call__(self, first: int, outcome: Outcome) -> None:
+    def __call__(self, first: int, outcome: RunOutcomes) -> None:
         self.found[first] = outcome
         self.done += len(outcome.errors)
         if self.parts is not None:
             self.parts.keep(first, outcome)
         self.progress(self.done)
 
-    def joined(self) -> Outcome:
-        return Outcome.joined([self.found[a] for a in sorted(self.found)])
+    def joined(self) -> RunOutcomes:
+        return RunOutcomes.joined([self.found[a] for a in sorted(self.found)])
 
 
-def _table(task: Task, design: Design, outcome: Outcome) -> pa.Table:
+def _table(task: Task, design: Design, outcome: RunOutcomes) -> pa.Table:
     import pyarrow as pa
 
     failed = np.array([bool(e) for e in outcome.errors])

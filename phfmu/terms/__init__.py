@@ -1,1 +1,1 @@
-"""Terms: what a declaration consists of, as canonical local functions, and what follows from their structure."""
+"""Terms: the parts of a declaration as canonical local functions, and the consequences of their structure."""

@@ -1,4 +1,4 @@
-"""Bare nodes: algebraic rows that join inductive branches only, and what a step does about them.
+"""Bare nodes: algebraic rows that join inductive branches only, and their remedies in a step.
 
 The row of such a node, c(x) = -L(x)^T z = 0, contains no algebraic variable (index 2); v acts on the states by x' = L v.
 
@@ -19,7 +19,7 @@ import numpy as np
 
 from phfmu.declare.variable import Value
 from phfmu.terms.canonical import Locator, components, make_term, scalars
-from phfmu.terms.hidden import Hidden
+from phfmu.terms.hidden import HiddenConstraints
 from phfmu.terms.located import Row, RowAt
 from phfmu.terms.rows import costate_symbols, costates, row_expressions
 from phfmu.terms.term import CLOSED, CONSTRAINT, ENERGY, JOINT, Term, TermKind, Terms
@@ -41,7 +41,7 @@ IMPULSE = TermKind("impulse")
 
 @dataclass(frozen=True)
 class BareNode:
-    """A bare algebraic row, what is done about it, and why not more (empty for a pair)."""
+    """A bare algebraic row, its remedy, and the reason why it has no better one (empty for a pair)."""
 
     row: int
     name: str
@@ -71,16 +71,16 @@ def bare_nodes(terms: Terms) -> list[BareNode]:
 
     A row that is linear in the state (constant L, quadratic H) stays at its start value and needs nothing.
     """
-    return Finder(terms).nodes
+    return BareRows(terms).nodes
 
 
-class Finder:
+class BareRows:
     """Symbolic form of the bare rows of a model."""
 
     def __init__(self, terms: Terms):
         self.terms, self.nodes = terms, []
         holonomic = {t.rows[0].index for t in terms.of(CONSTRAINT)}
-        rows = [r for r in terms.found(Hidden).checks if r not in holonomic]
+        rows = [r for r in terms.found(HiddenConstraints).checks if r not in holonomic]
         if not rows:
             return
         model = terms.model
@@ -166,7 +166,7 @@ class Finder:
 
     @staticmethod
     def _reads(expr: ca.SX, some: Container[int]) -> bool:
-        """Whether one of `some` symbols, by their hashes, stands in an expression."""
+        """True if one of `some` symbols, by their hashes, stands in an expression."""
         return any(s.element_hash() in some for s in ca.symvar(expr))
 
     @cached_property
@@ -244,6 +244,6 @@ class Finder:
 
 
 def depends(expr: ca.SX, on: ca.SX) -> bool:
-    """Structural dependence after cancelling what differentiates to zero."""
+    """Structural dependence after cancelling expressions that differentiate to zero."""
     entries = ca.vec(expr.nz[:])
     return ca.simplify(ca.jacobian(entries, on)).nnz() > 0 and ca.depends_on(entries, on)

@@ -13,13 +13,13 @@ from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import Port
 from phfmu.declare.variable import Value, Variable, time
 from phfmu.terms.located import RowAt, ValueAt
-from phfmu.terms.term import Pair, Term, TermKind
+from phfmu.terms.term import PortPair, Term, TermKind
 
 
 class Locator:
     """The place of each scalar symbol of a model, by its element hash."""
 
-    def __init__(self, model: PHDAE, pairs: Sequence[Pair]):
+    def __init__(self, model: PHDAE, pairs: Sequence[PortPair]):
         #: what was made of expressions, by their form: once per kind
         self.known: dict[Hashable, Any] = {}
         self.where: dict[int, ValueAt] = {time.element_hash(): ValueAt(Value.TIME, 0)}

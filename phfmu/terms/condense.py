@@ -20,7 +20,7 @@ from typing import Any
 import casadi as ca
 
 from phfmu.declare.variable import Value
-from phfmu.terms.hidden import Hidden, variable_at
+from phfmu.terms.hidden import HiddenConstraints, variable_at
 from phfmu.terms.located import Constant, Row, RowAt, ValueAt
 from phfmu.terms.term import EMPTY, FLOW, OBSERVABLE, Term, Terms
 
@@ -29,7 +29,7 @@ Flow = tuple[int, int]
 
 
 @dataclass(frozen=True)
-class Condensed:
+class CondensedVariables:
     """The algebraic variables that are no unknowns of a step."""
 
     variables: tuple[int, ...] = ()
@@ -39,22 +39,22 @@ def condensed(terms: Terms) -> Terms:
     """Terms of a network without the algebraic variables that have a constant pivot; the same object where there are none."""
     if not terms.model.junctions:
         return terms
-    rows = _Rows(terms)
+    rows = _RowSums(terms)
     rows.eliminate()
     if not rows.given:
         return terms
-    found = Condensed(tuple(sorted(rows.given)))
+    found = CondensedVariables(tuple(sorted(rows.given)))
     return replace(terms, terms=_rewritten(terms, rows), constants=rows.constants()).having(found)
 
 
-class _Rows:
+class _RowSums:
     """All rows as sums of constant entries and outputs of flow terms, with algebraic variables put in one after another.
 
     given: variable -> its row of kind CONDENSED, which has its value;  readers: variable -> the flow terms that read it
     """
 
     def __init__(self, terms: Terms):
-        self.bound, hidden = terms.bound, terms.found(Hidden)
+        self.bound, hidden = terms.bound, terms.found(HiddenConstraints)
         self.entries: dict[RowAt, dict[ValueAt, float]] = defaultdict(dict)
         self.flows: dict[RowAt, dict[Flow, float]] = defaultdict(dict)
         self.users: dict[int, dict[RowAt, None]] = defaultdict(dict)
@@ -116,7 +116,7 @@ class _Rows:
         return False
 
     def _gives(self, r: int, variable: int) -> bool:
-        """Whether row r gives the variable: flow terms read values that are known before they are evaluated, and no row becomes
+        """True if row r gives the variable: flow terms read values that are known before they are evaluated, and no row becomes
         longer than by what is taken out of it."""
         row = RowAt(Row.EQUATION, r)
         entries, flows = self.entries[row], self.flows[row]
@@ -149,7 +149,7 @@ class _Rows:
         return [Constant(row, source, v) for row, entries in self.entries.items() for source, v in entries.items()]
 
 
-def _rewritten(terms: Terms, rows: _Rows) -> list[Term]:
+def _rewritten(terms: Terms, rows: _RowSums) -> list[Term]:
     """The terms with values of condensed variables put in and their outputs in the rows that take them."""
     targets: dict[int, dict[RowAt, dict[int, float]]] = defaultdict(lambda: defaultdict(dict))
     for row, flows in rows.flows.items():
@@ -165,7 +165,7 @@ def _rewritten(terms: Terms, rows: _Rows) -> list[Term]:
         found = targets[i]
         solved = {row: parts for row, parts in found.items() if row.kind is not Row.CONDENSED}
         values = {row: parts for row, parts in found.items() if row.kind is Row.CONDENSED}
-        reads = _Reads(t, rows)
+        reads = _FlowArguments(t, rows)
         if solved or "loss" in t.data:
             out.append(_term(t, reads, solved, known))
         if values:
@@ -173,13 +173,13 @@ def _rewritten(terms: Terms, rows: _Rows) -> list[Term]:
     return out
 
 
-class _Reads:
-    """What a flow term reads, with condensed variables replaced by sums of others.
+class _FlowArguments:
+    """Arguments of a flow term, with condensed variables replaced by sums of others.
 
     index: per kind the global indices;  places: per old local place (kind, place) its parts (factor, kind, new place)
     """
 
-    def __init__(self, term: Term, rows: _Rows):
+    def __init__(self, term: Term, rows: _RowSums):
         self.index: dict[Value, list[int]] = {}
         self.places: dict[tuple[Value, int], tuple[tuple[float, Value, int], ...]] = {}
         self.changed = False
@@ -204,7 +204,7 @@ class _Reads:
         return found.index(source.index)
 
     def values(self, term: Term, local: dict[Value, ca.SX]) -> tuple[list[ca.SX], list[ca.SX]]:
-        """Old local symbols, and what stands for them."""
+        """Old local symbols, and the expressions that stand for them."""
         old, new = [], []
         for (kind, j), parts in self.places.items():
             old.append(term.local[kind][j])
@@ -212,7 +212,9 @@ class _Reads:
         return old, new
 
 
-def _term(t: Term, reads: _Reads, targets: dict[RowAt, dict[int, float]], known: dict[tuple[Any, ...], Term]) -> Term:
+def _term(
+    t: Term, reads: _FlowArguments, targets: dict[RowAt, dict[int, float]], known: dict[tuple[Any, ...], Term]
+) -> Term:
     """`t` with new arguments, and its outputs summed up in the rows `targets`; terms of one kind stay one kind."""
     own: dict[RowAt, dict[int, float]] = {}
     for j, row in enumerate(t.rows):

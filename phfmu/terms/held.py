@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from phfmu.terms.hidden import Check, Hidden, Level
+from phfmu.terms.hidden import Check, HiddenConstraints, Level
 from phfmu.terms.port_impulses import mass_values, masses
 from phfmu.terms.rows import block_matrix, check_rows, costate_symbols
 from phfmu.terms.term import MASS, MASS_BLOCK, Terms
@@ -19,33 +19,33 @@ from phfmu.terms.velocities import velocity_of
 
 
 @dataclass(frozen=True, eq=False)
-class Held:
+class HeldConstraints:
     """n constraints: their `names`; A (n1 x n) and c0 (n), what moves a constraint besides the states, in x, p, and time."""
 
     names: tuple[str, ...]
     A: ca.SX
     c0: ca.SX
 
-    def chosen(self, which: Sequence[int]) -> Held:
-        """Those at the places `which`."""
+    def chosen(self, which: Sequence[int]) -> HeldConstraints:
+        """The constraints at the places `which`."""
         at = list(which)
-        return Held(tuple(self.names[i] for i in at), self.A[:, at], self.c0[at])
+        return HeldConstraints(tuple(self.names[i] for i in at), self.A[:, at], self.c0[at])
 
 
 def velocity_checks(terms: Terms) -> list[Check]:
     """The hidden constraints of the velocity level, in the order of a model's checks."""
-    return [Check(terms.algebraic_names[row], Level.VELOCITY, row) for row in terms.found(Hidden).checks]
+    return [Check(terms.algebraic_names[row], Level.VELOCITY, row) for row in terms.found(HiddenConstraints).checks]
 
 
-def held(terms: Terms) -> Held:
+def held(terms: Terms) -> HeldConstraints:
     """All of them."""
     checks = velocity_checks(terms)
     if not checks:
-        return Held((), ca.SX(terms.n1, 0), ca.SX(0, 1))
+        return HeldConstraints((), ca.SX(terms.n1, 0), ca.SX(0, 1))
     z = costate_symbols(terms.model)
     c = ca.vertcat(*check_rows(terms, checks, z))
     A = ca.sparsify(ca.simplify(ca.jacobian(c, z)))
-    return Held(tuple(k.name for k in checks), A.T, ca.substitute(c, z, ca.SX(ca.DM.zeros(*z.shape))))
+    return HeldConstraints(tuple(k.name for k in checks), A.T, ca.substitute(c, z, ca.SX(ca.DM.zeros(*z.shape))))
 
 
 def rates(terms: Terms, A: ca.SX) -> ca.SX:

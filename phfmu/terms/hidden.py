@@ -20,14 +20,14 @@ from phfmu.terms.term import FLOW, Term, Terms
 
 
 @dataclass(frozen=True)
-class Hidden:
-    """`rows`: algebraic rows to differentiate;  `solved_by`: such a row -> the variable its own form determines."""
+class HiddenConstraints:
+    """Hidden constraints: `rows` to differentiate;  `solved_by`: such a row -> the variable its own form determines."""
 
     rows: frozenset[int] = frozenset()
     solved_by: dict[int, int] = field(default_factory=dict)
 
     def differentiates(self, row: RowAt) -> bool:
-        """Whether it is one of them."""
+        """True if a row is one of those to differentiate."""
         return row.kind is Row.EQUATION and row.index in self.rows
 
     @property
@@ -37,7 +37,7 @@ class Hidden:
 
 
 class Level(StrEnum):
-    """The derivative of a holonomic constraint that is meant: g(q), or the row Dg(q) v."""
+    """Derivative of a holonomic constraint: g(q) or the row Dg(q) v."""
 
     POSITION = "position"
     VELOCITY = "velocity"
@@ -53,7 +53,7 @@ class Check:
 
 
 def variable_at(at: ValueAt, bound: dict[int, int]) -> int | None:
-    """The algebraic variable that a value is: itself, or what feeds an input."""
+    """The algebraic variable of a value: itself, or the one that feeds an input."""
     if at.kind is Value.INPUT:
         return bound.get(at.index)
     return at.index if at.kind is Value.ALGEBRAIC else None
@@ -70,10 +70,10 @@ def contained(term: Term, j: int, bound: dict[int, int]) -> dict[ValueAt, int]:
     return found
 
 
-def hidden_rows(terms: Terms) -> Hidden:
+def hidden_rows(terms: Terms) -> HiddenConstraints:
     """The over-determined algebraic rows of a model; `extract` has done this for its terms."""
     if not terms.na:
-        return Hidden()
+        return HiddenConstraints()
     columns: list[set[int]] = [set() for _ in range(terms.na)]
     bound = terms.bound
     for c in terms.constants:
@@ -95,7 +95,7 @@ def hidden_rows(terms: Terms) -> Hidden:
         if r not in reached:
             reached.add(r)
             queue += [row_of[c] for c in columns[r] if c in row_of]
-    return Hidden(frozenset(reached), {r: match[r] for r in reached if match[r] >= 0})
+    return HiddenConstraints(frozenset(reached), {r: match[r] for r in reached if match[r] >= 0})
 
 
 def _pattern(t: Term, bound: dict[int, int], known: dict) -> list[list[ValueAt]]:

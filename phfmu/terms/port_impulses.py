@@ -23,7 +23,7 @@ from phfmu.declare.variable import Value, time
 from phfmu.terms.bare import depends
 from phfmu.terms.canonical import components
 from phfmu.terms.extraction.extract import extract
-from phfmu.terms.hidden import Hidden
+from phfmu.terms.hidden import HiddenConstraints
 from phfmu.terms.rows import costate_symbols, costates, output_expressions, row_expressions
 from phfmu.terms.term import CLOSED, CONSTRAINT, ENERGY, JOINT, MASS, MASS_BLOCK, Term, Terms, by_kind, gathered
 from phfmu.terms.velocities import velocity_of
@@ -70,10 +70,12 @@ class PortForms:
 
 def port_impulses(model: PHDAE) -> PortForms:
     """The use of impulses by the external ports of a model."""
-    return _Search(extract(model)).forms()
+    return _PortSearch(extract(model)).forms()
 
 
-class _Search:
+class _PortSearch:
+    """Search for the external ports of a model that take impulses."""
+
     def __init__(self, terms: Terms):
         self.terms, model = terms, terms.model
         self.z, self.u = costate_symbols(model), ca.SX.sym("u", len(terms.pairs))
@@ -198,7 +200,7 @@ def constrained(terms: Terms) -> dict[int, str]:
     for row, t in holonomic.items():
         for q in t.indices(Value.STATE):
             out |= {q: names[row], velocity[q]: names[row]}
-    rows = sorted(terms.found(Hidden).rows - holonomic.keys())
+    rows = sorted(terms.found(HiddenConstraints).rows - holonomic.keys())
     if rows:
         z = costates(terms)
         for row, c in row_expressions(terms, rows, z).items():

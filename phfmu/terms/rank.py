@@ -31,7 +31,7 @@ FLOOR = 1e-14  # keeps the factor of Dg Dg^T regular
 
 
 @dataclass(frozen=True)
-class Redundant:
+class RedundantRow:
     """A row of Dg that is sum `of`[name] * row(name) of others that stay; `gap`: its g minus the same sum of theirs.
 
     It rests at the start.  `label`: what the declaration calls it.
@@ -64,7 +64,7 @@ class ConstraintRank:
 
     rows: int
     rank: int
-    redundant: tuple[Redundant, ...]
+    redundant: tuple[RedundantRow, ...]
     groups: tuple[tuple[tuple[str, ...], int], ...] = ()
     unique: tuple[str, ...] = ()
 
@@ -92,7 +92,7 @@ def constraint_rank(model: PHDAE) -> ConstraintRank:
     names = [n for v in model.algebraics for n in v.names()]
     rows = [names[t.rows[0].index] for t in terms.of(CONSTRAINT)]
     labels = constraint_labels(model)
-    redundant: dict[int, Redundant] = {}
+    redundant: dict[int, RedundantRow] = {}
     groups = []
     for d in dependences(jacobian, kept_rows(terms)):
         kept = [i for i in d.rows if i not in d.resting]
@@ -101,7 +101,7 @@ def constraint_rank(model: PHDAE) -> ConstraintRank:
             c = np.linalg.lstsq(jacobian[kept].toarray().T, row, rcond=None)[0] if kept else np.zeros(0)
             most = max(1.0, float(np.max(abs(c), initial=0.0)))
             of = {rows[k]: float(v) for k, v in zip(kept, c, strict=True) if abs(v) > 1e-9 * most}
-            redundant[r] = Redundant(rows[r], of, float(values[r] - c @ values[kept]), labels.get(rows[r], ""))
+            redundant[r] = RedundantRow(rows[r], of, float(values[r] - c @ values[kept]), labels.get(rows[r], ""))
         groups.append((tuple(rows[i] for i in d.rows), len(d.resting)))
     found = tuple(redundant[r] for r in sorted(redundant))
     shared = {n for names, _ in groups for n in names}
@@ -110,7 +110,7 @@ def constraint_rank(model: PHDAE) -> ConstraintRank:
 
 
 def constraint_labels(model: PHDAE) -> dict[str, str]:
-    """Multiplier -> what the declaration calls its constraint, where it has a name for it."""
+    """Multiplier -> name of its constraint in the declaration, where it has one."""
     return {n: c.label for c in model.constraints if c.label for n in c.multiplier.names()}
 
 
@@ -123,7 +123,7 @@ class Dependence:
 
 
 def kept_rows(terms: Terms) -> NDArray[np.bool_]:
-    """Which constraints, in order, rest only where no others can."""
+    """Mask of the constraints, in order, that rest only where no others can."""
     names = [n for v in terms.model.algebraics for n in v.names()]
     kept = {n for c in terms.model.constraints if c.kept for n in c.multiplier.names()}
     return np.array([names[t.rows[0].index] in kept for t in terms.of(CONSTRAINT)], bool)
@@ -246,7 +246,7 @@ class ConstraintsAtStart:
 
 
 def at_start(terms: Terms) -> Terms:
-    """The terms with what they have to know of their constraints at the start: sizes, and which rest."""
+    """The terms with the facts about their constraints at the start: sizes, and those that rest."""
     owner = [t.rows[0].index for t in terms.of(CONSTRAINT)]
     if not owner:
         return terms
@@ -260,7 +260,7 @@ def at_start(terms: Terms) -> Terms:
 
 
 def hold_names(terms: Terms) -> tuple[str, ...]:
-    """The constraints in order: multiplier, and what the declaration calls it."""
+    """The constraints in order: multiplier, and name in the declaration."""
     labels = constraint_labels(terms.model)
     own = [terms.algebraic_names[a] for a in terms.found(ConstraintsAtStart).sizes]
     return tuple(f"{n} ({labels[n]})" if n in labels else n for n in own)

@@ -9,7 +9,7 @@ import casadi as ca
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.variable import Value, time
 from phfmu.terms.extraction.extract_energy import all_divided
-from phfmu.terms.hidden import Check, Hidden, Level
+from phfmu.terms.hidden import Check, HiddenConstraints, Level
 from phfmu.terms.located import Row
 from phfmu.terms.term import CLOSED, CONSTRAINT, FLOW, MASS, Term, Terms, by_kind, gathered
 from phfmu.terms.velocities import velocity_of
@@ -44,7 +44,7 @@ def flow_expressions(terms: Terms, z: ca.SX, u: ca.SX) -> tuple[ca.SX, ca.SX]:
 
 
 def _expressions(terms: Terms, kind: Row, rows: Iterable[int], z: ca.SX, u: ca.SX) -> dict[int, ca.SX]:
-    """The chosen rows of one kind; `u`: what stands for the free inputs."""
+    """The chosen rows of one kind; `u`: expressions of the free inputs."""
     model, bound, x = terms.model, terms.bound, terms.model.x
     found = {r: ca.SX(0) for r in rows}
     p = ca.vertcat(*(v.sx for v in model.parameters))
@@ -73,7 +73,7 @@ def check_rows(terms: Terms, checks: list[Check], z: ca.SX | None = None) -> lis
     Algebraic variables that over-determined rows give (the common velocity of a rigid joint) are eliminated.
     z: what stands for the costates (default: they as functions of the states).
     """
-    model, hidden, x = terms.model, terms.found(Hidden), terms.model.x
+    model, hidden, x = terms.model, terms.found(HiddenConstraints), terms.model.x
     z = costates(terms) if z is None else z
     p = ca.vertcat(*(v.sx for v in model.parameters))
     a = ca.vertcat(*(v.sx for v in model.algebraics))
@@ -100,8 +100,8 @@ def check_rows(terms: Terms, checks: list[Check], z: ca.SX | None = None) -> lis
     return out
 
 
-def _eliminated(rows: dict[int, ca.SX], hidden: Hidden, a: ca.SX) -> dict[int, ca.SX]:
-    """The check rows with the algebraic variables replaced by what their own (linear) rows give."""
+def _eliminated(rows: dict[int, ca.SX], hidden: HiddenConstraints, a: ca.SX) -> dict[int, ca.SX]:
+    """The check rows with the algebraic variables replaced by the solutions of their own (linear) rows."""
     if not hidden.solved_by:
         return rows
     own = ca.vertcat(*(rows[r] for r in hidden.solved_by))

@@ -28,7 +28,7 @@ Finding = TypeVar("Finding")
 
 
 @dataclass(frozen=True)
-class Pair:
+class PortPair:
     """One scalar power-port pair: `port` entry `j`; `owner` is its member id."""
 
     port: Port
@@ -56,7 +56,7 @@ MASS_BLOCK = TermKind("mass block")  # a full or state-dependent block of E
 
 @dataclass(frozen=True)
 class EnergyForm:
-    """The form of an energy term; `metric`: of each of its states, what weights a correction of a general one."""
+    """The form of an energy term; `metric`: the weight of each of its states in a correction of a general one."""
 
     kind: EnergyKind
     metric: tuple[float, ...] = ()
@@ -67,7 +67,7 @@ class Term:
     """A canonical local function.
 
     key:    equal keys = equal functions
-    form:   what tells terms of one kind apart beside their functions, a value of the type that whoever makes them has for it
+    form:   the variant of terms of one kind with equal functions, a value of a type of the module that makes them
     local:  per kind of value the local symbols (SX column), in the order of `index`
     index:  per kind of value the global indices
     data:   kind-specific expressions in the local symbols
@@ -84,7 +84,7 @@ class Term:
     form: Hashable = None
 
     def form_of(self, kind: type[Finding]) -> Finding:
-        """Its form, of this type."""
+        """The form of the term, which is of this type."""
         assert isinstance(self.form, kind)
         return self.form
 
@@ -93,7 +93,7 @@ class Term:
         return self.local.get(kind, EMPTY)
 
     def indices(self, kind: Value) -> tuple[int, ...]:
-        """Their global indices."""
+        """Global indices of a kind."""
         return self.index.get(kind, ())
 
 
@@ -106,7 +106,7 @@ def by_kind(terms: Iterable[Term]) -> list[list[Term]]:
 
 
 def gathered(values: NDArray[np.float64] | ca.SX, terms: Sequence[Term], kind: Value) -> Any:
-    """Of a column of `values` of one kind those that terms of equal key act on, a column for each term."""
+    """Columns, one for each of some terms of equal key, of the entries of `values` (of one kind) on which they act."""
     where = np.array([t.indices(kind) for t in terms], np.int64).reshape(len(terms), -1)
     if isinstance(values, ca.SX):
         return (
@@ -128,7 +128,7 @@ class Terms:
     n1: int = 0
     na: int = 0
     np: int = 0
-    pairs: list[Pair] = field(default_factory=list)
+    pairs: list[PortPair] = field(default_factory=list)
     nu: int = 0
     #: pair -> the algebraic variable that feeds it
     bound: dict[int, int] = field(default_factory=dict)

@@ -24,7 +24,7 @@ from phfmu import (
 from phfmu.components.library import build
 from phfmu.components.mechanical.translational import mass, spring
 from phfmu.declare.entries.alike import first_alike, form
-from phfmu.engine.native.compiled import made_of
+from phfmu.engine.native.native_model import native_model
 
 
 def coil(law=lambda x, a: a * x**2, unit="V.s", r=2.0, turns=1.0) -> PHDAE:
@@ -62,7 +62,8 @@ def test_alike_components_share_plans_and_code_not_values() -> None:
     assert list(two.x0) == [1.0, 3.0] and list(two.p0) == [2.0, 9.0] and list(one.x0) == [0.0, 0.0]
     first = one.first or one  # that of another test, if it is still held
     assert two.first is first
-    assert made_of(two).code is made_of(first).code and made_of(two).tables.size < made_of(first).tables.size / 4
+    own, shared = native_model(two), native_model(first)
+    assert own.code is shared.code and own.tables.size < shared.tables.size / 4
     a, b = NativeInstance(one), NativeInstance(two)
     h = 0.1
     for unit in (a, b):
@@ -106,7 +107,7 @@ def test_a_plan_changed_by_hand_is_compiled_for_itself() -> None:
     """Without its Schur stepper a model takes Newton's method, though one that is alike was compiled with it before."""
     one, two = build_model(build("chain")), build_model(build("chain"))
     changed = replace(two, step=replace(two.step, schur=None))
-    assert two.first is one and made_of(two).code is made_of(one).code
+    assert two.first is one and native_model(two).code is native_model(one).code
     with_it, without = NativeInstance(two), NativeInstance(changed)
     with_it.do_step(0.0, 0.01)
     without.do_step(0.0, 0.01)

@@ -16,7 +16,7 @@ from phfmu.derivatives.measured import RunMeasure, SumOfSquares, run_measures
 from phfmu.derivatives.taped import TapedSteps
 from phfmu.engine.switched import stepped
 from phfmu.network.couplings.monolithic import Monolithic
-from phfmu.network.members.columns import Columns
+from phfmu.network.members.columns import SignalColumns
 from tests.derivatives.differences import largest, richardson
 from tests.derivatives.test_tangents import SCENES
 from tests.wide import wide
@@ -94,7 +94,7 @@ def test_every_scene_backwards_is_forward(name: str) -> None:
     model = build_model(d)
     layout = NativeInstance(model).layout
     by = Random(2).sample([n for n in known(d) if n not in d.modes], 6)
-    columns = [c for c in Columns(model, layout).names if not c.startswith("constraint.")]
+    columns = [c for c in SignalColumns(model, layout).names if not c.startswith("constraint.")]
     columns = Random(3).sample([c for c in columns if not c.endswith((".residual", ".gap"))], 8)
     of = [f"{kind}({c})" for c in columns for kind in ("last", "mean")]
     events = tuple(e for e in scene.events if e.t < 20 * scene.step)

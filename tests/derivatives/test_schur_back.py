@@ -67,7 +67,7 @@ def taped(model: Model, h: float, n: int = STEPS) -> tuple[NativeInstance, np.nd
 
 def back(model: Model, instance: NativeInstance, rows: np.ndarray, schur: bool = True) -> NativeReverse:
     """Two measures of the last states at once."""
-    way = NativeReverse(model, instance._made, 2, schur)
+    way = NativeReverse(model, instance._native_model, 2, schur)
     way.bars.x[:, : model.step.nx] = np.random.default_rng(3).normal(size=(2, model.step.nx))
     way.back(rows, instance.parameters, np.arange(len(rows), dtype=np.int32), np.ones(len(rows)), NOTHING)
     return way

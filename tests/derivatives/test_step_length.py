@@ -46,7 +46,7 @@ def test_a_step_by_its_length_and_start(name: str, order: int, parts: int) -> No
     x, state, nx = instance.x.copy(), instance.get_state(), model.step.nx
     whole, rows = after(instance, state, t, x, h, parts)
     weights = np.random.default_rng(3).normal(size=len(whole)) / np.maximum(np.abs(whole), 1e-3)
-    back = NativeReverse(model, instance._made, 1)
+    back = NativeReverse(model, instance._native_model, 1)
     # the row tells sums since the start; before the step they follow from none of this
     told = RowBars(np.array([0], np.int32), weights[None, None])
     of_row, part = np.zeros(parts, np.int32), np.full(parts, 1.0 / parts)

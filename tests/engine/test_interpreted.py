@@ -15,8 +15,8 @@ from phfmu.components.library import LIBRARY, RUNS, build
 from phfmu.declare.error import DeclarationError
 from phfmu.engine.build.compile import CompilerMissing
 from phfmu.engine.native import code as native_code
-from phfmu.engine.native.code import COMPILING, SAVED, Interpreted
-from phfmu.engine.native.compiled import made_of
+from phfmu.engine.native.code import COMPILING, SAVED, InterpretedCode
+from phfmu.engine.native.native_model import native_model
 from phfmu.engine.switched import stepped
 from phfmu.outcome.status import StepFailure
 from phfmu.schemes.named import named_scheme
@@ -110,7 +110,7 @@ def uncached(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def enough(found: Any) -> float:
     """Steps that earn the compiler's time."""
-    made = made_of(found, "interpreted")
+    made = native_model(found, "interpreted")
     work = made.kernels.work(found.step)
     return (COMPILING[0] + COMPILING[1] * made.kernels.size) / (SAVED * work)
 
@@ -131,15 +131,15 @@ def test_a_short_run_stays_interpreted_and_a_long_one_begins_so(compiler: None, 
     other, _ = model("smib", 4)
     long = NativeInstance(other, steps=2 * enough(other))
     long.do_step(0.0, h)
-    assert isinstance(made_of(other).code, Interpreted) and compiled_soon(long)
+    assert isinstance(native_model(other).code, InterpretedCode) and compiled_soon(long)
 
 
 def test_steps_that_were_taken_count(compiler: None, uncached: None, monkeypatch: pytest.MonkeyPatch) -> None:
     """One by one, in runs, and those of other instances of the model."""
     monkeypatch.setattr(native_code, "SAVED", 1e-3)
     found, h = model("dc_motor")
-    code = made_of(found).code
-    assert isinstance(code, Interpreted)
+    code = native_model(found).code
+    assert isinstance(code, InterpretedCode)
     one, other = NativeInstance(found), NativeInstance(found)
     left = code._left
     one.do_step(0.0, h)

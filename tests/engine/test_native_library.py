@@ -31,7 +31,7 @@ from tests.wide import wide
 def test_instances_of_a_model_share_its_library_and_tables_and_nothing_else(monkeypatch: pytest.MonkeyPatch) -> None:
     model = oscillator()
     first = NativeInstance(model)
-    monkeypatch.setattr("phfmu.engine.native.compiled.code_of", None)  # is not made again
+    monkeypatch.setattr("phfmu.engine.native.native_model.code_of", None)  # is not made again
     second = NativeInstance(model)
     state = second.get_state()
     first.do_step(0.0, 0.1)

@@ -11,7 +11,7 @@ from phfmu import build_model
 from phfmu.components.library import build
 from phfmu.engine.build.compile import compile, host_flags, host_target
 from phfmu.engine.build.runtime_sources import library_sources
-from phfmu.engine.native.compiled import made_of
+from phfmu.engine.native.native_model import native_model
 
 WRITTEN = {".data", ".bss", ".tdata", ".tbss"}
 COUNT = '#include "phfmu.h"\nPH_API long count(void);\nstatic long n;\nlong count(void) { return n++; }\n'
@@ -36,7 +36,7 @@ def written(path: str | Path) -> dict[str, int]:
 @needs
 def test_libraries_have_no_data_that_is_written() -> None:
     """The runtime, and the code of a model."""
-    made = made_of(build_model(build("four_particle")), "compiled")
+    made = native_model(build_model(build("four_particle")), "compiled")
     assert made.code.build is not None
     for path in (made.lib._name, made.code.build.path):
         assert written(path) == {}, path

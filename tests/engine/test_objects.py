@@ -24,7 +24,7 @@ from phfmu.engine.build.compile import LONG, CompileError, compile, compile_once
 from phfmu.engine.build.kernels import Kernels
 from phfmu.engine.build.runtime_sources import PARTS, STEPS, library_sources, runtime_sources
 from phfmu.engine.model import kernels
-from phfmu.engine.native.code import Compiled, source
+from phfmu.engine.native.code import CompiledCode, source
 from phfmu.engine.native.library import backwards, drivers, runtime
 from phfmu.fmu.export.export import export
 
@@ -70,9 +70,9 @@ def compiled(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[], list
     return since
 
 
-def made(**parameters: float) -> Compiled:
+def made(**parameters: float) -> CompiledCode:
     found = Kernels(kernels(build_model(mass(2.0, **parameters))))
-    return Compiled(found, source(found, None))
+    return CompiledCode(found, source(found, None))
 
 
 def test_a_further_library_compiles_only_what_others_have_not(

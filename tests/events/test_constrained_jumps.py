@@ -30,7 +30,7 @@ from phfmu import (
 )
 from phfmu.components.mechanical.chain import chain
 from phfmu.components.mechanical.multibody import Multibody
-from phfmu.outcome.steps import Happened
+from phfmu.outcome.steps import EventRecord
 from tests.wide import wide
 
 LINKS, E, WALL = 3, 0.6, 2.2
@@ -55,7 +55,7 @@ def landed(declaration: PHDAE, h: float, n: int, k: int = 2):
     raise AssertionError("no event")
 
 
-def after(instance, h: Happened) -> np.ndarray:
+def after(instance, h: EventRecord) -> np.ndarray:
     """States right after an event, from its row of signals."""
     signals, at = instance.signals(), 0
     for block in instance.layout:

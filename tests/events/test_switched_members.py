@@ -34,7 +34,7 @@ from phfmu import (
 )
 from phfmu.cli import main
 from phfmu.components.control.relay import relay
-from phfmu.network.couplings.choice.apart import Apart
+from phfmu.network.couplings.choice.partitioned_network import PartitionedNetwork
 from phfmu.outcome.status import Status, StepFailure
 from tests.events.scenes import BRIDGE_STOP, LA, LD, bridge
 from tests.wide import wide
@@ -159,12 +159,15 @@ def test_a_step_with_a_change_of_mode_is_told_as_one_and_taken_back_bitwise():
 
 def test_what_members_with_switches_exchange_is_told() -> None:
     """Where all land together they exchange what others do; beside signals, which are held, they land inside their steps."""
-    assert "with --coupling newton (k = order / 2 values" in Apart(network()).order() and not Apart(network()).held
+    assert (
+        "with --coupling newton (k = order / 2 values" in PartitionedNetwork(network()).order()
+        and not PartitionedNetwork(network()).held
+    )
     net = network()
     net.add("relay", relay(0.0, 1.0))
     net.add("other", relay(0.0, 1.0))
     net.signal("relay.command", "other.measured")
-    apart = Apart(net)
+    apart = PartitionedNetwork(net)
     assert apart.order().startswith("--order composed; 1 apart: ") and "; supply takes held inputs" in apart.order()
     assert "supply has ideal switches, whose modes change within its step" in apart.exchanged()["node"]
     assert apart.held == ["supply", "relay", "other"]

@@ -37,7 +37,7 @@ from phfmu.components.electrical.sources import voltage_source
 from phfmu.components.electrical.switches import diode, ideal_switch, thyristor
 from phfmu.engine.build.kernels import Kernels
 from phfmu.engine.model import kernels
-from phfmu.engine.native.compiled import made_of
+from phfmu.engine.native.native_model import native_model
 from phfmu.outcome.status import EventRefused
 from tests.events.scenes import BRIDGE_STOP, LA, LD, bridge, lifted
 from tests.wide import slow, wide
@@ -91,8 +91,8 @@ def test_compiled_code_changes_modes_without_returning(bridges, monkeypatch):
     """11 changes of modes in one call, once the modes are known."""
     stepped(bridges[3], 50)
     instance, calls = SwitchedInstance(bridges[3], NativeInstance), []
-    land = instance.native._made.lib.ph_modes_land
-    monkeypatch.setattr(instance.native._made.lib, "ph_modes_land", lambda *a: calls.append(1) or land(*a))
+    land = instance.native._mode_code.lib.ph_modes_land
+    monkeypatch.setattr(instance.native._mode_code.lib, "ph_modes_land", lambda *a: calls.append(1) or land(*a))
     parts = list(instance.land(0.0, BRIDGE_STOP / 50, 50))
     assert len(calls) == 1 and sum(bool(part.happened and part.happened.switched) for part in parts) == 11
 
@@ -105,7 +105,7 @@ def test_modes_share_their_kernels(bridges):
     known = [model.modes[mode] for mode in model.modes.known]
     assert len(known) == 3  # all diodes off never comes up
     assert len({(m.step.nx, m.step.na, m.step.nw) for m in known}) == 1
-    assert len({made_of(m, "compiled").code.build.path for m in known if m.checks}) == 1
+    assert len({native_model(m, "compiled").code.build.path for m in known if m.checks}) == 1
     assert len({Kernels(kernels(m)).token for m in known if m.checks}) == 1
 
 

@@ -29,7 +29,7 @@ from phfmu.components.electrical.sources import voltage_source
 from phfmu.components.electrical.switches import ideal_switch
 from phfmu.components.library import build
 from phfmu.engine.switched import stepped
-from phfmu.network.couplings.choice.apart import Apart
+from phfmu.network.couplings.choice.partitioned_network import PartitionedNetwork
 from phfmu.network.couplings.gauss_seidel import GaussSeidel
 from phfmu.network.couplings.newton import newton
 from phfmu.network.members.interpolant import Interpolant
@@ -138,7 +138,7 @@ def test_inputs_that_follow_data_are_refused_beside_switches_that_land() -> None
 
 
 def test_what_such_members_exchange_is_told() -> None:
-    apart = Apart(build("rectifier").system)
+    apart = PartitionedNetwork(build("rectifier").system)
     assert apart.order() == "--order, composed and with --coupling newton (k = order / 2 values per step)"
     assert set(apart.exchanged().values()) == {"k values, order 2k"}
 

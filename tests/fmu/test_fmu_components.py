@@ -10,7 +10,7 @@ from fmpy.validation import validate_fmu
 
 from phfmu import FMUInstance, NativeInstance, Scene, build_model, export
 from phfmu.components.library import LIBRARY, SWITCHED, build
-from phfmu.network.members.columns import Columns
+from phfmu.network.members.columns import SignalColumns
 from tests.wide import turning
 
 STEPS = 250
@@ -36,7 +36,7 @@ def test_units_equal_the_native_engine(name: str, version: str, tmp_path: Path) 
     h = found.step if isinstance(found, Scene) else STEP.get(name, 1e-4)
     model = build_model(declaration)
     native = NativeInstance(model)
-    columns = Columns(model, native.layout)
+    columns = SignalColumns(model, native.layout)
     shown = [f"mode.{n}" if n in declaration.modes else n for n in columns.names]
     u = two_tone(model, h, STEPS)
     expected = np.zeros((STEPS, len(columns.names)))

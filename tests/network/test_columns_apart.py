@@ -12,7 +12,7 @@ from phfmu import Coupled, EngineMember, Monolithic, NativeInstance, Network, Op
 from phfmu.cli import main
 from phfmu.components.library import LIBRARY, build
 from phfmu.components.mechanical.translational import mass
-from phfmu.network.couplings.choice.named import named_coupling
+from phfmu.network.couplings.choice.coupling_choice import named_coupling
 from phfmu.pick import matching
 from phfmu.results.file import open_result
 from phfmu.schemes.collocated import Collocated

@@ -36,7 +36,7 @@ from phfmu.components.scenes.electrical.smib import smib
 from phfmu.components.scenes.electrical.two_machine import two_machine
 from phfmu.network.couplings.coupling import Solution
 from phfmu.network.couplings.newton import Continuation, newton
-from phfmu.network.couplings.unconverged import Accepting
+from phfmu.network.couplings.unconverged import AcceptingPolicy
 from phfmu.outcome.status import Status
 from phfmu.schemes.midpoint import Midpoint
 from phfmu.schemes.radau import Radau
@@ -166,7 +166,7 @@ def test_of_an_iteration_stopped_early_the_junctions_take_what_rows_and_impulses
     """W by the theorem against the books of the members, also where these have other nodes than their junctions."""
     net: Any = smib().system
     for seed in range(3):
-        stepper = Coupled(net, members(net, 2, **others), lambda joined: Accepting(newton(joined)))
+        stepper = Coupled(net, members(net, 2, **others), lambda joined: AcceptingPolicy(newton(joined)))
         exchange: Any = stepper.coupling.inner.exchange  # type: ignore[attr-defined]
         assert exchange.k.tolist() == [2] * len(exchange.k) and len(exchange.bare) == 3
         assert [stepper.joined.face.names[c].partition(".")[0] for c in exchange.bare] == ["bus1"] * 3

@@ -38,8 +38,8 @@ from phfmu.components.electrical.rl_line import rl_line
 from phfmu.components.scenes.electrical.smib import smib
 from phfmu.components.scenes.electrical.two_machine import two_machine
 from phfmu.fmu.importer.reader import FMUInstance
-from phfmu.network.couplings.choice.apart import Apart
-from phfmu.network.interface.exchange import Exchange
+from phfmu.network.couplings.choice.partitioned_network import PartitionedNetwork
+from phfmu.network.interface.unknowns import InterfaceUnknowns
 from phfmu.network.members.consistent import InconsistentState
 from phfmu.network.members.fmu_member import FMUMember
 from phfmu.network.members.node_values import InstanceNodes, node_values
@@ -159,7 +159,7 @@ def test_the_energy_of_such_an_impulse_is_that_of_the_formula() -> None:
     apart = couple(net, 2)
     with pytest.raises(InconsistentState, match="joined flows of states must sum to zero"):
         apart.check_start()
-    exchange = Exchange(apart.joined)
+    exchange = InterfaceUnknowns(apart.joined)
     columns = exchange.offered
     S = np.zeros((len(columns),) * 2)
     for s in exchange.shares:
@@ -217,15 +217,19 @@ def test_an_isolated_neutral_gets_no_impulses_composed_and_apart() -> None:
     net.junction("bus", ["a.terminal", "b.terminal"])
     nodes = bare_nodes(extract(net.compose()))
     assert {n.remedy for n in nodes} == {"none"} and "isolated neutral" in nodes[0].reason
-    assert Apart(net).exchanged()["bus"].endswith("no impulses (its inductance matrix is singular (isolated neutral))")
-    exchange = Exchange(couple(net, 2, PythonInstance).joined)
+    assert (
+        PartitionedNetwork(net)
+        .exchanged()["bus"]
+        .endswith("no impulses (its inductance matrix is singular (isolated neutral))")
+    )
+    exchange = InterfaceUnknowns(couple(net, 2, PythonInstance).joined)
     assert exchange.bare == [] and len(exchange.offered) == 3
     grounded = Network("grounded")  # a line with a zero sequence beside one of them: the matrix is regular
     grounded.add("a", turning("a"))
     grounded.add("line", rl_line(0.1, 1e-3, v=10.0))
     grounded.junction("bus", ["a.terminal", "line.a"])
     assert {n.remedy for n in bare_nodes(extract(grounded.compose()))} == {"pair"}
-    assert len(Exchange(couple(grounded, 2, PythonInstance).joined).bare) == 3
+    assert len(InterfaceUnknowns(couple(grounded, 2, PythonInstance).joined).bare) == 3
 
 
 def test_saturated_branches_exchange_values_only_and_say_why() -> None:
@@ -235,13 +239,13 @@ def test_saturated_branches_exchange_values_only_and_say_why() -> None:
     net.add("b", saturable("b", 0.5, -0.6))
     net.junction("bus", ["a.p", "b.p"])
     assert {n.remedy for n in bare_nodes(extract(net.compose()))} == {"projection"}
-    words = Apart(net).exchanged()["bus"]
+    words = PartitionedNetwork(net).exchanged()["bus"]
     assert "no impulses" in words and "not quadratic" in words
     drive = Event(0.0, "a.drive.v", 5.0)
     sums = []
     for h in (0.1, 0.05):
         apart = couple(net, 1, PythonInstance)
-        assert Exchange(apart.joined).bare == []
+        assert InterfaceUnknowns(apart.joined).bare == []
         r = run(apart, Options(stop=1.0, step=h, events=[drive], project=True))
         assert r.ledger.summary().closed and max(abs(v) for v in r.projection.after.values()) <= 1e-14
         sums.append(max(v for n, v in r.worst.items() if n.startswith(CONSTRAINT)))

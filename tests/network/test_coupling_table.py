@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from phfmu.cli import main
-from phfmu.network.couplings.choice.named import named_coupling, repeats
+from phfmu.network.couplings.choice.coupling_choice import named_coupling, repeats
 from phfmu.network.couplings.coupling_table import COUPLINGS, CouplingRow
 from phfmu.network.couplings.jacobi import Jacobi
 from phfmu.target import scene

@@ -21,7 +21,7 @@ from phfmu import (
 )
 from phfmu.components.mechanical.translational import mass, spring
 from phfmu.network.couplings.newton import Newton
-from phfmu.network.interface.joined import Joined
+from phfmu.network.interface.coupled_members import CoupledMembers
 
 H = 0.01
 
@@ -48,7 +48,7 @@ class Repeated:
     def __init__(self, trials: int = 60):
         self.iterations = trials
 
-    def moved(self, joined: Joined, xi: Any, r: Any) -> Any:
+    def moved(self, joined: CoupledMembers, xi: Any, r: Any) -> Any:
         return xi - np.linalg.solve(joined.face.C.toarray(), r)
 
 

@@ -14,12 +14,12 @@ from scipy.linalg import expm
 from phfmu import Coupled, FMUInstance, Network, Options, StepFailure, run
 from phfmu.cli import main
 from phfmu.fmu.importer.unit_file import unit_file
-from phfmu.network.couplings.choice.auto import choose
+from phfmu.network.couplings.choice.coupling_choice import choose
 from phfmu.network.couplings.gauss_seidel import GaussSeidel
+from phfmu.network.couplings.growth import SignalGrowth
 from phfmu.network.couplings.jacobi import Jacobi
 from phfmu.network.couplings.newton import newton
-from phfmu.network.couplings.signals.held_signals import SignalExchange
-from phfmu.network.couplings.signals.signal_growth import SignalGrowth
+from phfmu.network.couplings.signals.sampled_signals import SignalExchange
 from phfmu.network.members.fmu_member import FMUMember
 from phfmu.network.wires import Wire
 from phfmu.outcome.status import Status

@@ -34,8 +34,8 @@ from phfmu.components.scenes.mechanical.oscillator import oscillator
 from phfmu.network.couplings.compiled.threads import worth
 from phfmu.network.couplings.coupling import Coupling
 from phfmu.network.couplings.newton import Newton, newton
-from phfmu.network.couplings.unconverged import Halving
-from phfmu.network.interface.joined import Joined
+from phfmu.network.couplings.unconverged import HalvingPolicy
+from phfmu.network.interface.coupled_members import CoupledMembers
 from phfmu.outcome.steps import Steps
 from phfmu.signals import CONSTRAINT
 from phfmu.studies.bench.apart import coupling as coupling_bench
@@ -47,7 +47,7 @@ LIMIT = 1e-11  # of extrapolated starts: these are within 7e-12 of the composed 
 BOOKS = ("stored", "dissipated", "supplied", "pairs")
 
 
-def both(net: Any, k: int, chosen: Callable[[Joined], Coupling] = newton) -> list[Coupled]:
+def both(net: Any, k: int, chosen: Callable[[CoupledMembers], Coupling] = newton) -> list[Coupled]:
     """Stepped by the master, then called back."""
     out = [called_back(Coupled(net, members(net, k), chosen), called) for called in (False, True)]
     assert not out[0].master.calls
@@ -302,7 +302,7 @@ def test_steps_before_one_that_fails_are_kept() -> None:
 def test_a_step_that_is_refused_is_taken_in_halves() -> None:
     """The polynomials of the steps before are too far off for so few trials; a quarter of the step is near enough."""
     net: Any = smib().system
-    stepper = Coupled(net, members(net, 2), lambda joined: Halving(newton(joined)))
+    stepper = Coupled(net, members(net, 2), lambda joined: HalvingPolicy(newton(joined)))
     stepper.check_start()
     stepper.advance(0.0, 1e-3, 3)
     stepper.master.rules.iterations = 2
@@ -325,8 +325,8 @@ def test_the_faster_number_of_threads_goes_on(slow_one: int, monkeypatch: pytest
         made: Any = stepper.master
         runs.append([stepper.advance(0.0, 1e-3, 60)])
         if threads is None:
-            assert set(made.pace._taken) == {1, 2}
-            made.pace._taken = {slow_one: 2.0, 3 - slow_one: 1.0}
+            assert set(made.thread_number._taken) == {1, 2}
+            made.thread_number._taken = {slow_one: 2.0, 3 - slow_one: 1.0}
         runs[-1].append(stepper.advance(0.0, 1e-3, 40, 60))
         assert made.threads == (3 - slow_one if threads is None else 1)
     for one, chosen in zip(*runs, strict=True):

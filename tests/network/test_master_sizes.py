@@ -20,9 +20,9 @@ from phfmu import (
     run,
 )
 from phfmu.components.mechanical.translational import mass, spring
-from phfmu.network.couplings.compiled.master_pattern import Pattern, exchanged
+from phfmu.network.couplings.compiled.master_pattern import MasterPattern, exchange_tables
 from phfmu.network.couplings.newton import newton
-from phfmu.network.interface.joined import Joined
+from phfmu.network.interface.coupled_members import CoupledMembers
 from phfmu.studies.bench.apart import coupling as coupling_bench
 from phfmu.studies.bench.apart import networks as apart_bench
 from tests.network.both_loops import SAME, members
@@ -42,9 +42,9 @@ def ring(n: int) -> Network:
 
 def pattern(net: Network, k: int) -> tuple[int, int, int]:
     """Unknowns, entries, room for factors."""
-    joined = Joined(net, members(net, k, PythonInstance))
-    found = exchanged(joined, newton(joined))
-    made = Pattern(found)
+    joined = CoupledMembers(net, members(net, k, PythonInstance))
+    found = exchange_tables(joined, newton(joined))
+    made = MasterPattern(found)
     return found.size, len(made.rowind), made.capacity
 
 

@@ -25,7 +25,7 @@ from phfmu.components.library import build
 from phfmu.components.mechanical.contacts import impact_pair
 from phfmu.components.mechanical.translational import spring
 from phfmu.engine.switched import stepped
-from phfmu.network.couplings.choice.apart import Apart
+from phfmu.network.couplings.choice.partitioned_network import PartitionedNetwork
 from phfmu.network.members.node_values import HeldNodes
 from phfmu.schemes.named import named_scheme
 from tests.wide import wide
@@ -67,7 +67,7 @@ def test_the_head_line_and_info_tell_the_order_that_is_measured(name, order):
         errors.append(float((off[moving] / size[moving]).max()))
     said = 1 if by_signals else order
     assert told.order == said and f", order {said}" in told.label
-    text = Apart(scene.system).order()
+    text = PartitionedNetwork(scene.system).order()
     assert ("1 apart" if by_signals else "--order, composed and with --coupling newton") in text
     slopes = [np.log(a / b) / np.log(q / p) for a, b, p, q in zip(errors, errors[1:], parts, parts[1:], strict=False)
               if b > ROUNDING]  # fmt: skip
@@ -121,7 +121,7 @@ def test_guards_that_read_what_others_give_keep_the_composed_run(net, k):
             assert np.abs(found.column(n) - whole.column(n)).max() <= 2e-9 * scale, n
     summary = found.ledger.summary()
     assert summary.closed and summary.events == whole.ledger.summary().events
-    assert not Apart(net).held
+    assert not PartitionedNetwork(net).held
 
 
 def held_by(stepper: Coupled) -> list[str]:
@@ -129,10 +129,10 @@ def held_by(stepper: Coupled) -> list[str]:
 
 
 def test_what_is_held_at_bare_nodes_and_beside_units_is_told_as_it_is():
-    """`Apart` tells of declarations what `Exchange` finds of members."""
+    """`PartitionedNetwork` tells of declarations what `InterfaceUnknowns` finds of members."""
     for name in ("buffer", "breaker_opening", "smib_breaker", "two_point_control", "smib", "rectifier"):
         net = build(name).system
-        whole = Apart(net)
+        whole = PartitionedNetwork(net)
         declared = net.separate(whole.holding(lambda _: True)) if net.wires else net.declared
         models = {n: build_model(d, Collocated(2)) for n, d in declared.items()}
         stepper = Coupled(net, [EngineMember(n, m, stepped(m, NativeInstance)) for n, m in models.items()])
@@ -146,7 +146,7 @@ def test_a_member_in_a_unit_or_in_parts_lands_alone_and_the_run_says_order_2(cap
         out = capsys.readouterr().out
         assert "order 2 (members of order 4, inputs held)" in out
         assert "body has state events whose" in out and "takes the mean of its inputs" in out
-    assert Apart(build("buffer").system, ["spring"]).held == ["body"]
-    assert "guards read what others give, and spring has steps of its own" in Apart(
+    assert PartitionedNetwork(build("buffer").system, ["spring"]).held == ["body"]
+    assert "guards read what others give, and spring has steps of its own" in PartitionedNetwork(
         build("buffer").system, ["spring"]
     ).why_held("body")

@@ -13,7 +13,7 @@ from phfmu.cli import main
 from phfmu.fmu.importer.access import Access
 from phfmu.fmu.importer.unit_file import unit_file
 from phfmu.network.couplings.compiled.called_share import CalledShare
-from phfmu.network.members.rollback import WAYS
+from phfmu.network.members.rollback import REPEAT_MODES
 from phfmu.network.members.unit_member import tried
 from tests.fmu import foreign
 from tests.network.unit_members import pump_folder, table, unit_members
@@ -107,7 +107,7 @@ def test_the_trial_tells_the_way(folder: Path) -> None:
     for keeps in (0, *KEEPS):
         units = {"pump": unit_file(path).with_starts({"keeps": keeps})}
         found[keeps] = tried(units, 0.01)["pump"]
-    always, never, once_more = WAYS
+    always, never, once_more = REPEAT_MODES
     assert {k: f.way for k, f in found.items()} == {
         0: always, LAST_POINT: always, STAYS: always, FINAL: never, STAYS_AND_FINAL: once_more,
     }  # fmt: skip

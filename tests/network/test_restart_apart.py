@@ -25,7 +25,7 @@ from phfmu.components.library import build
 from phfmu.components.scenes.electrical.breaker_opening import breaker_opening
 from phfmu.network.couplings.anderson import Anderson
 from phfmu.network.couplings.newton import newton
-from phfmu.network.couplings.unconverged import Halving
+from phfmu.network.couplings.unconverged import HalvingPolicy
 from tests.engines import ENGINES
 from tests.events.stiff_fault import EVENTS, FAULT, STEP, STOP, T_FAULT, exact, network
 from tests.network.both_loops import called_back
@@ -109,7 +109,7 @@ def test_loops_and_policies_take_the_same_damped_steps(how: str) -> None:
     options = Options(stop=0.008, step=STEP, events=EVENTS, restart=2)
     usual = run(apart(network(), Collocated(2)), options)
     if how == "halved":
-        other = run(apart(network(), Collocated(2), coupling=lambda joined: Halving(newton(joined))), options)
+        other = run(apart(network(), Collocated(2), coupling=lambda joined: HalvingPolicy(newton(joined))), options)
     else:
         other = run(called_back(apart(network(), Collocated(2))), options)
     require_same(other, usual, ["bus.q", "source.flux", "exciter.E"])

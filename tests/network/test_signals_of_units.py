@@ -27,7 +27,7 @@ from phfmu import (
 )
 from phfmu.cli import main
 from phfmu.components.scenes.mechanical.speed_control import speed_control
-from phfmu.network.couplings.choice.apart import Apart
+from phfmu.network.couplings.choice.partitioned_network import PartitionedNetwork
 from phfmu.network.junction import ConnectionError
 from phfmu.network.members.member import Member
 from tests.engines import BY_NAME
@@ -136,7 +136,7 @@ def test_units_from_the_command_line_find_each_others_signals(compiler: None, tm
     net.connect("rotor.a", "actuator.shaft", name="shaft")
     net.signal("rotor.w", "controller.measured")
     net.signal("controller.command", "actuator.torque")
-    assert "at most 4" in Apart(net).order()
+    assert "at most 4" in PartitionedNetwork(net).order()
     rotor = build_model(net.separate()["rotor"], Collocated(2))
     with ExitStack() as stack:
         members: list[Member] = [EngineMember("rotor", rotor, PythonInstance(rotor))]

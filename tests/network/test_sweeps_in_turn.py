@@ -17,8 +17,8 @@ from phfmu.network.as_unit.export import export_network
 from phfmu.network.couplings.coupling_table import COUPLINGS
 from phfmu.network.couplings.gauss_seidel import GaussSeidel
 from phfmu.network.couplings.unit import FMUStepper
-from phfmu.network.interface.instant import Instant
-from phfmu.network.interface.joined import Joined
+from phfmu.network.interface.coupled_members import CoupledMembers
+from phfmu.network.interface.instant import InstantSolver
 from tests.network.test_coupling_choice import mixed
 
 pytestmark = pytest.mark.usefixtures("compiler")
@@ -30,14 +30,14 @@ class Twice(GaussSeidel):
 
     repeats = True
 
-    def groups(self, joined: Joined) -> list[list[int]]:
+    def groups(self, joined: CoupledMembers) -> list[list[int]]:
         return 2 * super().groups(joined)
 
 
 class Forgetful(GaussSeidel):
     """Leaves out the last member."""
 
-    def groups(self, joined: Joined) -> list[list[int]]:
+    def groups(self, joined: CoupledMembers) -> list[list[int]]:
         return super().groups(joined)[:-1]
 
 
@@ -61,8 +61,8 @@ def members(net: Network) -> list[EngineMember]:
 
 
 def written_out(coupling: Any) -> np.ndarray:
-    net, instant = three(), Instant()
-    joined = Joined(net, members(net))
+    net, instant = three(), InstantSolver()
+    joined = CoupledMembers(net, members(net))
     xi = np.zeros(len(joined.face.names))
     joined.begin(xi)
     for k in range(STEPS):

@@ -31,7 +31,7 @@ from phfmu import (
     state,
 )
 from phfmu.components.mechanical.multibody import Multibody
-from phfmu.network.couplings.choice.apart import Apart
+from phfmu.network.couplings.choice.partitioned_network import PartitionedNetwork
 from phfmu.network.couplings.newton import newton
 from phfmu.schemes.two_level import TwoLevel
 from tests.wide import slow
@@ -125,7 +125,7 @@ CASES = [
 def test_two_level_members_are_equal_to_the_composed_model(network: Callable[[], Network], k: int, engine: Any) -> None:
     """With k = 3 they took one held value before, off by 1e-2; what the junction makes is rounding."""
     net = network()
-    assert Apart(net).exchanged()["j"] == "k values, order 2k"
+    assert PartitionedNetwork(net).exchanged()["j"] == "k values, order 2k"
     one, two = apart(net, k, 0.05, engine), whole(net, k, 0.05, engine)
     found, expected = states(one), states(two)
     assert np.abs(found - expected).max() <= 1e-12 * max(1.0, np.abs(expected).max())

@@ -12,11 +12,11 @@ from phfmu import Collocated, Coupled, EngineMember, Network, Options, PythonIns
 from phfmu.cli import main
 from phfmu.network.couplings.newton import Newton, newton
 from phfmu.network.couplings.unconverged import POLICIES
-from phfmu.network.interface.joined import Joined
+from phfmu.network.interface.coupled_members import CoupledMembers
 from tests.network.test_coupled_2k import nonlinear
 from tests.wide import wide
 
-COUPLINGS: dict[str, Callable[[Joined], Any]] = {"held": lambda _: Newton(), "nodes": newton}
+COUPLINGS: dict[str, Callable[[CoupledMembers], Any]] = {"held": lambda _: Newton(), "nodes": newton}
 
 
 def stepper(kind: str, policy: str, net: Network, k: int = 2) -> Coupled:

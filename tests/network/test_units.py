@@ -434,16 +434,16 @@ def test_predictions_that_run_away_end_the_run_with_advice(
 def test_members_that_hold_a_value_are_told_with_the_reason(tmp_path: Path) -> None:
     """A unit of this package without inputs at nodes, and ideal switches beside it."""
     from phfmu.components.scenes.electrical.rectifier import rectifier
-    from phfmu.network.couplings.choice.apart import Apart
+    from phfmu.network.couplings.choice.partitioned_network import PartitionedNetwork
 
     (plain,) = export(build_model(replace(mass(1.0), name="plain")), tmp_path, ("3.0",), step=0.01)
     net = rectifier().system
     assert isinstance(net, Network)
-    assert Apart(net).exchanged()["dc"] == "k values, order 2k"
+    assert PartitionedNetwork(net).exchanged()["dc"] == "k values, order 2k"
     net.add("plain", plain)
     net.add("cart", mass(2.0))
     net.junction("b", ["plain.flange", "cart.flange"])
-    told = Apart(net).exchanged()
+    told = PartitionedNetwork(net).exchanged()
     assert told["b"].startswith("one held value")
     assert told["b"].endswith("; plain was exported without inputs at nodes (--node-inputs, --order 4)")
     assert "; bridge has ideal switches, whose modes change within its step" in told["dc"]

@@ -118,7 +118,7 @@ def test_positions_of_a_sheet_are_eliminated_first_and_leave_the_fill_of_its_sti
 def test_an_order_that_saves_nothing_stays_that_of_minimum_degree() -> None:
     size, row, col = ladder(30, scrambled=False)
     weak = np.setdiff1d(np.arange(size), row[row == col]).astype(np.int32)
-    whole = ordering._Pattern(size, row, col)
+    whole = ordering._MatrixPattern(size, row, col)
     for one, other in zip(
         elimination_order(size, row, col, weak), ordering._minimum_degree(whole, row, col), strict=True
     ):

@@ -11,7 +11,7 @@ import pytest
 from phfmu.components.mechanical.mechanisms import bricard
 from phfmu.discretise.model import build_model, default_scheme
 from phfmu.engine.native.native import NativeInstance
-from phfmu.schur.elimination import Pattern
+from phfmu.schur.elimination import FactorPattern
 
 #: sides of the rods: thin ones have directors without mass, the others some of 1e-7 of the largest mass
 SECTIONS = (0.0, 1e-3)
@@ -57,7 +57,7 @@ def test_rows_of_light_directions_come_behind_those_that_they_share_an_entry_wit
     """Their diagonal is zero until then."""
     rows = [[(d, 2 * r + i, 1.0) for i, d in enumerate((r, r + 1))] for r in range(8)]
     light = [1, 4, 7]
-    order = list(Pattern(rows, light, 16).order)
+    order = list(FactorPattern(rows, light, 16).order)
     assert sorted(order) == list(range(11))
     for i, d in enumerate(light):
         assert all(order.index(8 + i) > order.index(r) for r in (d - 1, d))

@@ -13,7 +13,7 @@ from phfmu.schemes.named import named_scheme
 from phfmu.sweeps import lanes, native_runs
 from phfmu.sweeps.lanes import LANES
 from phfmu.sweeps.native_runs import NativeRuns
-from phfmu.sweeps.outcome import Outcome
+from phfmu.sweeps.outcome import RunOutcomes
 from phfmu.sweeps.recipe import Recipe
 from phfmu.sweeps.runs import sweep
 from phfmu.sweeps.task import ModelTask
@@ -49,8 +49,8 @@ def sprung() -> PHDAE:
 class Both:
     """Runs side by side, and each by itself."""
 
-    together: Outcome
-    alone: Outcome
+    together: RunOutcomes
+    alone: RunOutcomes
     steps: int
 
     @property

@@ -15,14 +15,14 @@ import pyarrow.parquet as pq
 import pytest
 
 from phfmu.sweeps.design import Design
-from phfmu.sweeps.outcome import Outcome
+from phfmu.sweeps.outcome import RunOutcomes
 from phfmu.sweeps.parts import Parts
 
 DESIGN = Design(("k",), np.arange(6.0)[:, None])
 
 
-def outcome(first: int, n: int = 2) -> Outcome:
-    return Outcome(np.arange(n)[:, None] + 10.0 * first, np.full(n, 7), np.zeros(n), ("",) * (n - 1) + ("refused",))
+def outcome(first: int, n: int = 2) -> RunOutcomes:
+    return RunOutcomes(np.arange(n)[:, None] + 10.0 * first, np.full(n, 7), np.zeros(n), ("",) * (n - 1) + ("refused",))
 
 
 def written(folder: Path, key: str = "this") -> Path:
@@ -33,7 +33,7 @@ def written(folder: Path, key: str = "this") -> Path:
     return folder / "s.parquet.parts"
 
 
-def read(folder: Path, key: str = "this") -> dict[int, Outcome]:
+def read(folder: Path, key: str = "this") -> dict[int, RunOutcomes]:
     return dict(Parts(folder / "s.parquet", key, resume=True).kept())
 
 

@@ -19,11 +19,11 @@ from phfmu.components.mechanical.translational import mass
 from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.runs.loop import run
 from phfmu.runs.result import Result
-from phfmu.sweeps.crew import Threads
 from phfmu.sweeps.design import axes, table
-from phfmu.sweeps.outcome import Outcome
+from phfmu.sweeps.outcome import RunOutcomes
 from phfmu.sweeps.runs import taken
 from phfmu.sweeps.words import KINDS
+from phfmu.sweeps.worker_pool import Threads
 from tests.wide import wide
 
 FOUR = grid({"k13": [40.0, 60.0], "m[1]": [1.0, 4.0]})
@@ -288,9 +288,9 @@ def test_finished_runs_are_counted_once() -> None:
             return super().__len__()
 
     class Runs:
-        def take(self, rows: np.ndarray, first: int = 0) -> Outcome:
+        def take(self, rows: np.ndarray, first: int = 0) -> RunOutcomes:
             n = len(rows)
-            return Outcome(np.zeros((n, 1)), np.ones(n, int), np.zeros(n), Errors([""] * n))
+            return RunOutcomes(np.zeros((n, 1)), np.ones(n, int), np.zeros(n), Errors([""] * n))
 
         def stop(self) -> None: ...
 

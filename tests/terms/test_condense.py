@@ -30,7 +30,7 @@ from phfmu.components.mechanical.four_particle import four_particle
 from phfmu.components.scenes.electrical.smib import smib
 from phfmu.fmu.importer.reader import FMUInstance
 from phfmu.schemes.scheme import Scheme
-from phfmu.terms.condense import Condensed, condensed
+from phfmu.terms.condense import CondensedVariables, condensed
 from phfmu.terms.extraction.extract import extract
 from tests.wide import wide
 
@@ -93,7 +93,7 @@ ENGINES = {"python": PythonInstance, "native": NativeInstance, "interpreted": in
 
 def test_all_variables_but_those_of_the_bare_node_are_condensed() -> None:
     terms = extract(grid())
-    left = set(range(terms.na)) - set(condensed(terms).found(Condensed).variables)
+    left = set(range(terms.na)) - set(condensed(terms).found(CondensedVariables).variables)
     assert [terms.algebraic_names[a] for a in sorted(left)] == ["bus3.v[1]", "bus3.v[2]", "bus3.v[3]"]
 
 

@@ -15,7 +15,7 @@ from phfmu.schemes.collocated import Collocated
 from phfmu.schemes.constraints.impulses import Impulses
 from phfmu.schemes.two_level import TwoLevel
 from phfmu.terms.extraction.extract import extract
-from phfmu.terms.hidden import Hidden
+from phfmu.terms.hidden import HiddenConstraints
 from phfmu.terms.located import Constant, Row, RowAt, ValueAt
 from phfmu.terms.rank import ConstraintsAtStart, at_start
 from phfmu.terms.term import CONSTRAINT, Terms
@@ -121,5 +121,5 @@ def test_findings_belong_to_techniques(particles: Terms) -> None:
 def test_impulses_are_found_by_the_scheme_that_has_them() -> None:
     terms = extract(build("smib").declaration())
     found = Collocated(1).prepare(terms).found(Impulses)
-    assert found.pairs and set(found.pairs) <= terms.found(Hidden).rows
+    assert found.pairs and set(found.pairs) <= terms.found(HiddenConstraints).rows
     assert terms.found(Impulses) == Collocated(1, impulses=False).prepare(terms).found(Impulses) == Impulses()

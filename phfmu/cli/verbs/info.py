@@ -29,8 +29,8 @@ SOME = 3
 
 def print_many(network: Network) -> None:
     """Members by kind, junctions by what they join, the number of variables."""
-    from phfmu.network.couplings.choice.apart import Apart
     from phfmu.network.couplings.choice.gathered import composed_words, gathered, junction_words
+    from phfmu.network.couplings.choice.partitioned_network import PartitionedNetwork
 
     kinds = _kinds(network)
     print(f"members: {len(network.members)} of {counted(len(kinds), 'kind')}")
@@ -41,7 +41,7 @@ def print_many(network: Network) -> None:
         print(f"  {len(names)} x {label}: {getattr(member, 'description', '')} ({_some(names)})".replace(":  (", ": ("))
         for line in _parameters([network.declared[n] for n in names if n in network.declared]):
             print(f"    {line}")
-    print(f"order: {Apart(network).order()}")
+    print(f"order: {PartitionedNetwork(network).order()}")
     if line := composed_words(gathered(network)):
         print(line)
     words = junction_words(network)
@@ -133,9 +133,9 @@ def call(args: argparse.Namespace) -> int:
         print(f"members: {', '.join(d.members)}")
     words = {}
     if isinstance(s.system, Network):
-        from phfmu.network.couplings.choice.apart import Apart
+        from phfmu.network.couplings.choice.partitioned_network import PartitionedNetwork
 
-        apart = Apart(s.system)
+        apart = PartitionedNetwork(s.system)
         print(f"order: {apart.order()}")
         words = apart.exchanged()
         for wire in s.system.wires:
@@ -182,15 +182,15 @@ def _arguments(target: str) -> list[str]:
 def _print_apart(s: Scene, network: Network, arguments: list[str]) -> None:
     """A network with units, which is no one model."""
     from phfmu.fmu.importer.inspect import limit_lines, port_lines
-    from phfmu.network.couplings.choice.apart import Apart
     from phfmu.network.couplings.choice.gathered import composed_words, gathered, junction_words
+    from phfmu.network.couplings.choice.partitioned_network import PartitionedNetwork
     from phfmu.network.wires import without_unit
 
     _print_run(s, s.name, s.description or network.description, arguments)
     print(f"members: {', '.join(network.members)}")
     if words := composed_words(gathered(network)):
         print(words)
-    print(f"order: {Apart(network).order()}")
+    print(f"order: {PartitionedNetwork(network).order()}")
     exchanged = junction_words(network)
     for wire in network.wires:
         print(f"signal {wire}")

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from phfmu.network.couplings.stepper import Stepper
     from phfmu.network.scene import Scene
     from phfmu.runs.options import Options
-    from phfmu.sweeps.crew import Scheduler
     from phfmu.sweeps.design import Design
+    from phfmu.sweeps.worker_pool import Scheduler
 
 #: options of a sweep that its runs do not depend on
 NOT_OF_A_RUN = (
@@ -216,7 +216,7 @@ def _stepper(args: argparse.Namespace, values: Mapping[str, float]) -> tuple[Ste
 
 def _scheduler(args: argparse.Namespace) -> Scheduler | None:
     """The cluster that is asked for; two of them raise ValueError."""
-    from phfmu.sweeps.crew import Scheduler
+    from phfmu.sweeps.worker_pool import Scheduler
 
     if args.scheduler and args.scheduler_file:
         raise ValueError("--scheduler and --scheduler-file name two schedulers; leave one of them out")

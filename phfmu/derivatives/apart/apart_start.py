@@ -5,7 +5,7 @@ At the instant junction unknowns xi are what makes P^T y(x, P xi + U_free) + C x
     (P^T G P + C) dxi = -P^T (y_x dx + y_theta dtheta),     G = dy/du.
 
 Where sums of outputs follow states alone (flows of inductors at a node), no unknown can answer them: they have to stay zero.
-Source: `network/interface/end_sums.py`.
+Source: `network/interface/junction_values.py`.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from phfmu.derivatives.apart.joint_maps import AnyMaps
 from phfmu.derivatives.apart.member_maps import MemberMaps
 from phfmu.derivatives.by import By, start_tangents_by
-from phfmu.network.interface.end_sums import CONSISTENT, EndSums
-from phfmu.network.interface.joined import Joined
+from phfmu.network.interface.coupled_members import CoupledMembers
+from phfmu.network.interface.junction_values import CONSISTENT, JunctionValues
 
 Array = NDArray[np.float64]
 
@@ -27,7 +27,9 @@ Array = NDArray[np.float64]
 class ApartStart:
     """Members with their names among those of the whole (`at`)."""
 
-    def __init__(self, joined: Joined, sums: EndSums, members: Sequence[AnyMaps], at: Sequence[list[int]], by: By):
+    def __init__(
+        self, joined: CoupledMembers, sums: JunctionValues, members: Sequence[AnyMaps], at: Sequence[list[int]], by: By
+    ):
         self.joined, self.sums, self.members, self.at, self.by = joined, sums, members, at, by
 
     def slopes(

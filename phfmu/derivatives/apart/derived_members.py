@@ -23,16 +23,16 @@ from phfmu.discretise.start import Projection
 from phfmu.gradients.quadrature import nodes
 from phfmu.interrupt import Interrupted
 from phfmu.network.couplings.anderson import Anderson
-from phfmu.network.couplings.compiled.master_pattern import Part
+from phfmu.network.couplings.compiled.master_pattern import ShareTables
 from phfmu.network.couplings.coupled import Coupled
 from phfmu.network.couplings.coupling import InTurn, Solution
 from phfmu.network.couplings.newton import Newton
-from phfmu.network.couplings.unconverged import Accepting, Halving
-from phfmu.network.interface.joined import Joined
+from phfmu.network.couplings.unconverged import AcceptingPolicy, HalvingPolicy
+from phfmu.network.interface.coupled_members import CoupledMembers
 from phfmu.network.members.engine_member import EngineMember
 from phfmu.network.members.fmu_member import FMUMember
 from phfmu.network.members.member import Member
-from phfmu.network.members.stepped_last import SteppedLast
+from phfmu.network.members.predicted_member import PredictedMember
 from phfmu.network.network import Network
 from phfmu.outcome.status import StepFailure
 from phfmu.outcome.steps import Steps
@@ -101,7 +101,7 @@ class DerivedMembers(Coupled):
         self._given = self.states_now()
         self.forget()
 
-    def _map(self, m: Member, part: Part, own: By, wired: Sequence[int] = ()) -> AnyMaps:
+    def _map(self, m: Member, part: ShareTables, own: By, wired: Sequence[int] = ()) -> AnyMaps:
         """The derivatives of a member's steps."""
         if isinstance(m, FMUMember):
             return UnitMaps(m, part, own)
@@ -181,7 +181,7 @@ class DerivedMembers(Coupled):
     def _require_smooth(self) -> None:
         """ValueError for what has no derivatives here."""
         instead, name = self.joined.network.to_compose, self.joined.network.name
-        if isinstance(self.coupling, Halving | Accepting):
+        if isinstance(self.coupling, HalvingPolicy | AcceptingPolicy):
             raise ValueError(
                 f"{name}: steps that may be halved, or accepted as they are, where the interface does not converge have no "
                 "derivatives; leave out --unconverged and take shorter steps"
@@ -402,7 +402,7 @@ class DerivedMembers(Coupled):
         return S, slopes
 
 
-def by_of(joined: Joined, names: Sequence[str]) -> By:
+def by_of(joined: CoupledMembers, names: Sequence[str]) -> By:
     """What members stepped apart are derived by.  KeyError for names that are none; ValueError for units without derivatives."""
     if not any(isinstance(m, FMUMember) for m in joined.members):
         return By.of(joined.network.compose(), names)
@@ -451,7 +451,7 @@ def _filled(values: Array, names: Sequence[str], known: Mapping[str, float]) -> 
 
 def _require_derivable(network: Network, members: Sequence[Member]) -> None:
     """ValueError names units without derivatives, and what each lacks."""
-    units = [m.inner if isinstance(m, SteppedLast) else m for m in members if not isinstance(m, EngineMember)]
+    units = [m.inner if isinstance(m, PredictedMember) else m for m in members if not isinstance(m, EngineMember)]
     why = dict[str, list[str]]()
     for m in units:
         if words := why_not(m) if isinstance(m, FMUMember) else _NO_DERIVATIVES:
@@ -459,7 +459,7 @@ def _require_derivable(network: Network, members: Sequence[Member]) -> None:
     if why:
         told = "; ".join(f"{', '.join(names)}: {words}" for words, names in why.items())
         raise ValueError(f"{network.name}: there are no derivatives of runs through units: {told}; {_REMEDY}")
-    if late := [m.name for m in members if isinstance(m, SteppedLast)]:
+    if late := [m.name for m in members if isinstance(m, PredictedMember)]:
         raise ValueError(
             f"{network.name}: there are no derivatives of runs through units that are stepped last ({', '.join(late)}); "
             f"{_REMEDY}"

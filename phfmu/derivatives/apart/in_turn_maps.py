@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 from phfmu.derivatives.apart.joint_maps import AnyMaps, JointSlopes, JointSteps, at_once
 from phfmu.derivatives.apart.member_maps import MemberMaps
 from phfmu.derivatives.by import By
-from phfmu.network.couplings.compiled.master_pattern import Exchanged, Part
-from phfmu.network.interface.instant import Instant
-from phfmu.network.interface.joined import Joined
+from phfmu.network.couplings.compiled.master_pattern import ExchangeTables, ShareTables
+from phfmu.network.interface.coupled_members import CoupledMembers
+from phfmu.network.interface.instant import InstantSolver
 from phfmu.network.members.member import Member
 
 Array = NDArray[np.float64]
@@ -38,12 +38,12 @@ class InTurnMaps:
 
     def __init__(
         self,
-        exchanged: Exchanged,
-        members: Sequence[tuple[Member, Part, By]],
+        exchanged: ExchangeTables,
+        members: Sequence[tuple[Member, ShareTables, By]],
         groups: list[list[int]],
-        made: Callable[[Member, Part, By], AnyMaps],
+        made: Callable[[Member, ShareTables, By], AnyMaps],
     ):
-        self._groups, self._n, self._instant = groups, exchanged.nodes, Instant()
+        self._groups, self._n, self._instant = groups, exchanged.nodes, InstantSolver()
         #: by member, the number of its group
         self._group = np.argsort(np.concatenate([np.array(g, int) for g in groups]), kind="stable")
         for number, own in enumerate(groups):
@@ -64,7 +64,7 @@ class InTurnMaps:
             self._means[taken, g * n + taken] = 1.0
 
     def unknowns(
-        self, z: Array, joined: Joined, before: list[Any], given: list[Array], t: float
+        self, z: Array, joined: CoupledMembers, before: list[Any], given: list[Array], t: float
     ) -> tuple[Array, tuple[Any, ...]]:
         """The unknowns of the step from t that was taken last, and where members were asked for their outputs, by looking at its
         instants again; before: states of the members at t; given: their inputs from outside; z: where to start from."""

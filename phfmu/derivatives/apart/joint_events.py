@@ -18,7 +18,7 @@ from phfmu.derivatives.by import By
 from phfmu.derivatives.event_maps import EventMaps, Instant
 from phfmu.derivatives.plan_function import PlanFunction
 from phfmu.discretise.model import Model
-from phfmu.network.interface.joined import Joined
+from phfmu.network.interface.coupled_members import CoupledMembers
 from phfmu.network.members.engine_member import EngineMember
 
 Array = NDArray[np.float64]
@@ -36,7 +36,7 @@ class MetTogether:
 class JointEvents:
     """Derivatives at the instants of events of `members`, which `model` is composed of; lander: what lands them."""
 
-    def __init__(self, model: Model, joined: Joined, members: Sequence[EngineMember], lander: Any, by: By):
+    def __init__(self, model: Model, joined: CoupledMembers, members: Sequence[EngineMember], lander: Any, by: By):
         assert model.events is not None
         self._model, self._joined, self._members, self._by = model, joined, members, by
         self.lander = lander

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 from phfmu.derivatives.apart.member_maps import Linearised, MemberMaps
 from phfmu.derivatives.apart.unit_maps import UnitMaps
-from phfmu.network.couplings.compiled.master_pattern import Exchanged
-from phfmu.network.interface.joined import Joined
+from phfmu.network.couplings.compiled.master_pattern import ExchangeTables
+from phfmu.network.interface.coupled_members import CoupledMembers
 from phfmu.schemes.constraints.impulses import POINTS
 
 Array = NDArray[np.float64]
@@ -106,7 +106,7 @@ class JointMaps:
     #: whether members step one after the other, so that the states before a step are needed to look at it again
     in_turn = False
 
-    def __init__(self, exchanged: Exchanged, members: Sequence[AnyMaps]):
+    def __init__(self, exchanged: ExchangeTables, members: Sequence[AnyMaps]):
         self.exchanged, self.members = exchanged, list(members)
         e, N = exchanged, exchanged.size
         self.at_once = at_once(N)
@@ -123,7 +123,7 @@ class JointMaps:
             self._thrown[e.bare, np.arange(side.start, side.stop)] = 1.0
 
     def unknowns(
-        self, z: Array, joined: Joined, before: list[Any], given: list[Array], t: float
+        self, z: Array, joined: CoupledMembers, before: list[Any], given: list[Array], t: float
     ) -> tuple[Array, tuple[Any, ...]]:
         """The unknowns of the step from t that was taken last: what the master has left."""
         return z.copy(), ()

@@ -30,7 +30,7 @@ from phfmu.derivatives.tangents import (
     weights_at_end,
     with_sums,
 )
-from phfmu.network.couplings.compiled.master_pattern import Part
+from phfmu.network.couplings.compiled.master_pattern import ShareTables
 from phfmu.network.members.engine_member import EngineMember
 from phfmu.schemes.constraints.impulses import POINTS
 from phfmu.signals import Quantity, quantities
@@ -101,7 +101,7 @@ class Wiring:
     left: Array
 
     @staticmethod
-    def of(part: Part, k: int) -> Wiring:
+    def of(part: ShareTables, k: int) -> Wiring:
         """k: nodes of the member's steps, of which one that takes held values tells one."""
         reached, n, kicked = len(part.col), len(part.inputs), len(part.kicked)
         feed, kicks = np.zeros((part.k * part.nu, reached)), np.zeros((2, part.kicks, reached))
@@ -137,7 +137,7 @@ class MemberMaps:
     moves: there are derivatives by the start and the length of steps, too, which move where state events happen
     """
 
-    def __init__(self, member: EngineMember, part: Part, by: By, wired: Sequence[int] = (), moves: bool = False):
+    def __init__(self, member: EngineMember, part: ShareTables, by: By, wired: Sequence[int] = (), moves: bool = False):
         self.member, self.part, self.by, self.wired = member, part, by, list(wired)
         model, d = member.model, by.directions
         plan = model.step

@@ -21,7 +21,7 @@ from phfmu.derivatives.apart.member_maps import Linearised, Wiring
 from phfmu.derivatives.by import By, Given
 from phfmu.fmu.export.variables import FMUError
 from phfmu.gradients.quadrature import nodes
-from phfmu.network.couplings.compiled.master_pattern import Part
+from phfmu.network.couplings.compiled.master_pattern import ShareTables
 from phfmu.network.members.fmu_member import FMUMember
 from phfmu.signals import Quantity, end_name, port_energy
 
@@ -132,7 +132,7 @@ class UnitMaps:
     Errors: ValueError with the words of the unit, where it refuses a derivative.
     """
 
-    def __init__(self, member: FMUMember, part: Part, by: By):
+    def __init__(self, member: FMUMember, part: ShareTables, by: By):
         self.member, self.part, self.by, self.unit = member, part, by, member.unit
         wiring, face = Wiring.of(part, part.k), self.unit.interface
         self.feed, self.left, self.kicks = wiring.feed, wiring.left, wiring.kicks

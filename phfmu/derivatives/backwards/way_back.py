@@ -52,7 +52,7 @@ class WayBack:
         if key not in self._backs:
             instance = self._run.instance if mode is None else self._run.instance.of(mode)[0]
             model, instance = (self._run.model_in(mode), instance) if damped is None else (damped.model, damped)
-            self._backs[key] = NativeReverse(model, instance._made, 1 if guard else self._total)
+            self._backs[key] = NativeReverse(model, instance._native_model, 1 if guard else self._total)
         return self._backs[key]
 
     def enter(self, mode: Mode | None, damped: Any = None) -> None:

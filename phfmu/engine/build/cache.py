@@ -1,4 +1,4 @@
-"""Compiled libraries kept from run to run: lib/KEY/SHA256.so, whose name says what its content must be.
+"""Compiled libraries kept from run to run: lib/KEY/SHA256.so, whose name holds the hash of its content.
 
 A library that was cut off or changed on the disk would end the process that loads it (SIGBUS), so it is never
 loaded. A folder in which others can put files is not used at all: what is loaded from it runs as the user.
@@ -51,7 +51,7 @@ def find(key: str, ending: str) -> Path | None:
 
 
 def whole(folder: Path, ending: str) -> Path | None:
-    """The library of a folder outside the cache whose content is what its name says."""
+    """The library of a folder outside the cache whose content has the hash in its name."""
     return next(filter(_is_whole, folder.glob(f"*{ending}")), None)
 
 

@@ -223,7 +223,7 @@ def slope_text(table: KernelTable, *plans: Plan, symbol: str = "ph_slopes") -> s
 
 
 def tangents(kernels: Kernels, *plans: Plan, reports: bool = False) -> list[ca.Function | None]:
-    """By place: tangents of the kernels that rows of `plans` need; `reports`: what is reported, too."""
+    """Tangents of the kernels that rows of `plans` need, by place, None for the others; `reports`: those of reports too."""
     found = {kernels.index(k): tangent(k) for plan in plans for k in differentiated(plan, reports)}
     return [found.get(place) for place in range(len(kernels.members))]
 

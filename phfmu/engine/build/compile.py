@@ -139,25 +139,25 @@ def _find(target: str, only: str | None, flags: Sequence[str] = ()) -> Toolchain
 
 
 @dataclass(frozen=True)
-class Generated:
+class GeneratedSource:
     """A source whose text is made when it is needed; `content` stands for it in the cache: the same for no other text."""
 
     content: str
     text: Callable[[], str]
 
-    def made(self) -> Generated:
-        """With its text."""
+    def with_text(self) -> GeneratedSource:
+        """The same source, whose text is made now."""
         text = self.text()
         return replace(self, text=lambda: text)
 
 
-Source = str | Path | Generated
+Source = str | Path | GeneratedSource
 
 
 def _bytes(source: Source, content: bool) -> bytes:
     if isinstance(source, Path):
         return source.read_bytes()
-    if isinstance(source, Generated):
+    if isinstance(source, GeneratedSource):
         source = source.content if content else source.text()
     return source.encode()
 
@@ -168,8 +168,8 @@ def _generated(sources: Mapping[str, Source]) -> list[str]:
 
 
 @dataclass(frozen=True)
-class _Asked:
-    """Sources, and how a library of them is made."""
+class _LibraryRequest:
+    """A request for a library: sources, target and compiler."""
 
     sources: Mapping[str, Source]
     target: str
@@ -178,7 +178,7 @@ class _Asked:
     @classmethod
     def of(
         cls, sources: Mapping[str, Source], target: str | None, flags: Sequence[str], compiler: str | None
-    ) -> _Asked:
+    ) -> _LibraryRequest:
         target = target or host_target()
         tools = _find(target, compiler, flags)
         if own := tuple(shlex.split(os.environ.get("PHFMU_MODEL_FLAGS", ""))):
@@ -204,7 +204,7 @@ class _Asked:
 def find(sources: Mapping[str, Source], *, flags: Sequence[str] = ()) -> Build | None:
     """The build that `compile` gives for this machine if it needs no compiler, from the cache."""
     try:
-        return _Asked.of(sources, None, flags, None).find()
+        return _LibraryRequest.of(sources, None, flags, None).find()
     except CompilerMissing:
         return None
 
@@ -226,7 +226,7 @@ def compile(
     compiled with the flags of PHFMU_MODEL_FLAGS besides, long ones with `LONG_FLAGS`.
     Errors: CompilerMissing, CompileError.
     """
-    asked = _Asked.of(sources, target, flags, compiler)
+    asked = _LibraryRequest.of(sources, target, flags, compiler)
     built = asked.find()
     if built is None:
         if announce is not None:
@@ -249,8 +249,8 @@ def _common_key(sources: Mapping[str, Path], target: str, wide: bool) -> str:
 
 
 def compile_once(sources: Mapping[str, Path], announce: Callable[[], None] | None = None) -> Build:
-    """The same for this machine, with all it can do: what the package was installed with, else compiled; where there is no
-    compiler any more, what one left in the cache."""
+    """Shared library for this machine, with all it can do: the one in the package, else compiled; the one in the cache if there
+    is no compiler any more."""
     target = host_target()
     key = _common_key(sources, target, bool(host_flags()))
     if path := cache.whole(SHIPPED / key, suffix(target)):

@@ -49,7 +49,7 @@ def _trial(row: Ints, colptr: Ints, order: Ints, pivot_row: Ints) -> tuple[int, 
 
 
 @dataclass(frozen=True)
-class _Fixed:
+class _ConstantProducts:
     """Constant part of a sum of products: entry, value and power of h, one item per product."""
 
     entry: Ints
@@ -58,7 +58,7 @@ class _Fixed:
 
 
 @dataclass(frozen=True)
-class _Varying:
+class _VaryingProducts:
     """Entries with products that change from iteration to iteration, and those products."""
 
     entry: Ints
@@ -81,7 +81,7 @@ def _constant_slots(plan: Plan) -> Floats:
     return slots
 
 
-def _split(products: Products, slots: Floats) -> tuple[_Fixed, _Varying]:
+def _split(products: Products, slots: Floats) -> tuple[_ConstantProducts, _VaryingProducts]:
     """Products of numbers are multiplied out here, the rest is left to every iteration."""
     entry = np.repeat(np.arange(products.nnz, dtype=np.int32), np.diff(products.ptr))
     known_s, known_t = ~np.isnan(slots[products.s]), ~np.isnan(slots[products.t])
@@ -91,8 +91,8 @@ def _split(products: Products, slots: Floats) -> tuple[_Fixed, _Varying]:
     varying, first = np.unique(entry[rest], return_index=True)
     ptr = np.append(first, rest.sum()).astype(np.int32)
     return (
-        _Fixed(entry[fixed], value[fixed], products.power[fixed]),
-        _Varying(varying, ptr, s[rest], t[rest], value[rest], products.power[rest]),
+        _ConstantProducts(entry[fixed], value[fixed], products.power[fixed]),
+        _VaryingProducts(varying, ptr, s[rest], t[rest], value[rest], products.power[rest]),
     )
 
 

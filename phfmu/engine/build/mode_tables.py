@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from phfmu.engine.build.derived import group_values
-from phfmu.engine.build.tables import Filled, array_of_structs, ctypes_structures, struct_text
+from phfmu.engine.build.tables import TableMemory, array_of_structs, ctypes_structures, struct_text
 from phfmu.events.switch_tables import ModeRows, SwitchTables
 from phfmu.plan.plan import Kernel
 
@@ -17,7 +17,7 @@ def mode_groups(tables: SwitchTables, index: Callable[[Kernel], int]) -> list[tu
     return [(g, group_values(g, 0, index)) for g in tables.groups]
 
 
-class ModeTables(Filled):
+class ModeTables(TableMemory):
     """The switches of a model; `pointer` is valid as long as this object lives."""
 
     def __init__(self, tables: SwitchTables, index: Callable[[Kernel], int], code: int) -> None:
@@ -28,7 +28,7 @@ class ModeTables(Filled):
         )
 
     def rows(self, rows: ModeRows) -> int:
-        """Address of what is known of a mode."""
+        """Address of the `ph_mode_rows` of a mode."""
         return ctypes.addressof(self.fill("ph_mode_rows", rows, {}))
 
 

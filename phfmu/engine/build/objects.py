@@ -47,7 +47,7 @@ class Toolchain:
     own: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def key(self, files: Mapping[str, bytes], more: Sequence[str] = ()) -> str:
-        """Name in the cache of what `files` give; where the program stands does not matter."""
+        """Name in the cache of the output for `files`; where the program stands does not matter."""
         digest = hashlib.sha256(repr((self.program[1:], self.version, self.options, tuple(more))).encode())
         for name in sorted(files):
             digest.update(f"\0{name}\0{len(files[name])}\0".encode() + files[name])
@@ -92,7 +92,7 @@ def _built(root: Path, files: Mapping[str, bytes], tools: Toolchain, end: str, k
     """
     with tempfile.TemporaryDirectory(dir=root / "lib", ignore_cleanup_errors=True) as folder:
         try:
-            return _Work(root, Path(folder), tools, files).library(end, key)
+            return _BuildFolder(root, Path(folder), tools, files).library(end, key)
         except (OSError, CompileError):
             cache.require_room(root)
             raise
@@ -121,7 +121,7 @@ def _end_all() -> None:
 
 
 @dataclass(frozen=True)
-class _Work:
+class _BuildFolder:
     """A private folder with the sources; `root`: the cache, `running`: compilers that are at work, `over`: no more are wanted."""
 
     root: Path
@@ -132,7 +132,7 @@ class _Work:
     over: threading.Event = field(default_factory=threading.Event)
 
     def library(self, end: str, key: str) -> Path:
-        """In the cache."""
+        """Path in the cache of the library that is linked from the objects."""
         for name, content in self.files.items():
             (self.folder / name).write_bytes(content)
         objects = self.objects(sorted(n for n in self.files if n.endswith(".c")))
@@ -141,7 +141,7 @@ class _Work:
         return cache.put(self.root, key, self.folder / result)
 
     def objects(self, names: list[str]) -> list[str]:
-        """Those of the sources, side by side; a signal that ends the work ends the compilers too.
+        """Objects of the sources, compiled side by side; a signal that ends the work ends the compilers too.
 
         Beside the main thread nothing waits for workers, which the end of the process would wait for.
         """

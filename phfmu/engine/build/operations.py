@@ -1,4 +1,4 @@
-"""Functions as tables of operations: what names a function by its content, and what the runtime interprets.
+"""Functions as tables of operations, by which a function is named by its content and interpreted by the runtime.
 
 The tables are read from CasADi's functions of scalars.  Their slots are [constants | arguments | results of the operations], each
 slot is written once.  A program has its operations in segments of equal ones that do not depend on each other; which operations
@@ -67,7 +67,7 @@ class Operations:
         return hashlib.sha256(b"".join(len(p).to_bytes(8, "little") + p.tobytes() for p in parts)).digest()
 
     def only(self, n: int) -> Operations:
-        """With the first n results, and the operations that these need."""
+        """The function with its first n results, and the operations that these need."""
         out = self.out[: sum(self.results[:n])]
         first, code = self.first, self.code.tolist()
         needed = np.zeros(first + len(code), bool)
@@ -86,7 +86,7 @@ class Operations:
         return sorted({names()[op] for op in set(self.code[:, 0].tolist()) - interpreted().keys()})
 
     def program(self) -> Program:
-        """In segments, by a list scheduler: of the operations that are ready, the kind with the most comes next."""
+        """The program in segments, by a list scheduler: of the operations that are ready, the kind with the most comes next."""
         if unknown := self.unknown():
             raise NotInterpreted(
                 f'{", ".join(unknown)}: an operation that only compiled code has; kernels="auto" (--kernels auto) compiles it'
@@ -123,7 +123,7 @@ class Operations:
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """The members of ph_program."""
+    """The members of ph_program that are arrays."""
 
     of: Operations
     segment: Ints
@@ -132,7 +132,7 @@ class Program:
 
     @property
     def derived(self) -> dict[str, Any]:
-        """Its other members."""
+        """The other members of ph_program."""
         of = self.of
         return {
             "nargument": len(of.arguments),

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from phfmu.engine.build.derived import event_values, group_values, lane_groups, plan_values, schur_sizes
 from phfmu.engine.build.runtime_sources import RUNTIME
-from phfmu.engine.model import Model
+from phfmu.engine.model import EngineModel
 from phfmu.events.event_plan import EventPlan
 from phfmu.plan.plan import Kernel, Plan
 from phfmu.schur.stepper import SchurStepper
@@ -34,7 +34,7 @@ HEADERS = ("schur/schur.h", "plan.h", "events/events.h", "modes/modes.h", "inter
 
 @dataclass(frozen=True)
 class Field:
-    """One member of a C structure; `pointer`: to what is of type `ctype`, and `constant` if nobody writes there."""
+    """One member of a C structure; `pointer`: to values of type `ctype`, and `constant` if nobody writes there."""
 
     name: str
     ctype: str
@@ -73,7 +73,7 @@ def _fields(struct: str, body: str) -> Iterator[Field]:
 
 @lru_cache(maxsize=1)
 def ctypes_structures() -> dict[str, type[ctypes.Structure]]:
-    """The same structures for ctypes."""
+    """The structures of the headers for ctypes, by name."""
     return for_ctypes(structures())
 
 
@@ -115,7 +115,7 @@ def _members(struct: str, source: Any, derived: dict[str, Any]) -> Iterator[tupl
         yield field, value
 
 
-class Filled:
+class TableMemory:
     """Structures for ctypes with the arrays they point to, which live as long as this object."""
 
     def __init__(self) -> None:
@@ -145,10 +145,10 @@ class Filled:
         return ctypes.addressof(array)
 
 
-class CTables(Filled):
+class CTables(TableMemory):
     """A model as ctypes structures; `pointer` is valid as long as this object lives.  `code`: address of its ph_code."""
 
-    def __init__(self, model: Model, index: Callable[[Kernel], int], code: int) -> None:
+    def __init__(self, model: EngineModel, index: Callable[[Kernel], int], code: int) -> None:
         super().__init__()
         self._plans: CTables | None = None  # tables whose plans these are
         self._index = index
@@ -159,7 +159,7 @@ class CTables(Filled):
         #: of the state events, None without
         self.events = None if model.events is None else self._events(model.events)
 
-    def like(self, model: Model) -> CTables:
+    def like(self, model: EngineModel) -> CTables:
         """Tables of a model on the same plans: start values of its own, all else is that of these."""
         other = copy(self)
         other._keep, other._plans = [], self
@@ -167,8 +167,8 @@ class CTables(Filled):
         other.pointer = ctypes.addressof(other._model)
         return other
 
-    def with_tangents(self, model: Model, address: int) -> CTables:
-        """Those of the same model with the ph_functions at `address`."""
+    def with_tangents(self, model: EngineModel, address: int) -> CTables:
+        """Tables of the same model with the ph_functions at `address`."""
         other = self.like(model)
         other._model.tangents = address
         return other
@@ -267,7 +267,7 @@ def _plan_text(plan: Plan, name: str, index: Callable[[Kernel], int]) -> str:
 
 
 def c_text(
-    model: Model,
+    model: EngineModel,
     index: Callable[[Kernel], int],
     symbol: str = "ph_the_model",
     tangents: str = "0",

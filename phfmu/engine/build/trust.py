@@ -13,7 +13,7 @@ from pathlib import Path
 
 
 def distrust(folder: Path, *parts: Path) -> str | None:
-    """Why others could change the folder, the parts of it that there are, or what is above it, if they could."""
+    """Reason why others could change the folder, the parts of it that there are, or a folder above it; None if they could not."""
     if not hasattr(os, "geteuid"):
         return None
     above = dict.fromkeys((*folder.parents, *folder.resolve().parents))
@@ -27,7 +27,7 @@ def distrust(folder: Path, *parts: Path) -> str | None:
 
 
 def distrust_one(path: Path) -> str | None:
-    """The same of one file in a folder that is trusted."""
+    """Reason not to trust one file in a folder that is trusted, None if there is none."""
     return _distrust(path, sticky=False) if hasattr(os, "geteuid") else None
 
 
@@ -55,7 +55,7 @@ def _trusted() -> set[int]:
 
 @cache
 def _is_alone(group: int) -> bool:
-    """Whether it is the user's own group, which many systems give each user and new folders."""
+    """True if a group is the user's own one, which many systems give each user and new folders."""
     import grp
     import pwd
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from phfmu.engine.reference.evaluate import TABLES, Stage
 from phfmu.events.event_plan import EventPlan
-from phfmu.events.impulse import Columns, impulses, pushing
+from phfmu.events.impulse import ImpulseColumns, impulses, pushing
 from phfmu.outcome.limits import LIMITS
 from phfmu.outcome.status import EventRefused
 from phfmu.plan.plan import Group
@@ -38,14 +38,14 @@ class Guards:
         """d guard / dt of all guards (n), 0 of those that are not rated."""
         return self._rates.sums(1.0, self.plan.n, x, y, p)
 
-    def columns(self, x: Array, p: Array) -> Columns:
+    def columns(self, x: Array, p: Array) -> ImpulseColumns:
         """The columns of all jumps and constraints."""
         jump = self.plan.jump
         assert jump is not None and self._jump is not None
         n, c, m = jump.columns, len(jump.component), len(jump.moved)
         found = self._jump.sums(1.0, jump.size, x, np.zeros(0), p)
         y, L, S, e = np.split(found, np.cumsum([c * n, m * n, n * n]))
-        return Columns(L.reshape(n, m).T, y.reshape(c, n), S.reshape(n, n), e)
+        return ImpulseColumns(L.reshape(n, m).T, y.reshape(c, n), S.reshape(n, n), e)
 
 
 def _stage(groups: tuple[Group, ...]) -> Stage:
@@ -65,8 +65,8 @@ class Laws:
 
 
 def struck(
-    columns: Callable[[], Columns],
-    move: Callable[[Columns, Array], None],
+    columns: Callable[[], ImpulseColumns],
+    move: Callable[[ImpulseColumns, Array], None],
     laws: Laws,
     refuse: Callable[[int, Sequence[int] | None, float, float], NoReturn],
 ) -> Array:
@@ -120,10 +120,10 @@ class Jumps:
             return energy, lost
         which, x = [int(jump.of[i]) for i in jumping], instance.x
 
-        def columns() -> Columns:
+        def columns() -> ImpulseColumns:
             return self.guards.columns(np.append(x, t), p).chosen(which)
 
-        def move(at: Columns, m: Array) -> None:
+        def move(at: ImpulseColumns, m: Array) -> None:
             x[jump.moved] += at.L @ m
 
         def refuse(reason: int, places: Sequence[int] | None, value: float, limit: float) -> NoReturn:

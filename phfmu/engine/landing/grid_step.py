@@ -10,7 +10,7 @@ from phfmu.outcome.limits import LIMITS
 
 
 class Lander(Protocol):
-    """The interface of whatever lands: one instance, or members together."""
+    """The interface of what a grid step lands: one instance, or members together."""
 
     @property
     def location(self) -> Location:
@@ -19,7 +19,7 @@ class Lander(Protocol):
 
     @property
     def guards(self) -> int:
-        """How many there are."""
+        """Number of the guards."""
         ...
 
     def happen(self, t: float, h: float, fired: list[int], events: int) -> Any:

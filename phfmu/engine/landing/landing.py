@@ -1,4 +1,4 @@
-"""Grid steps of coupled members with state events: what is located and what happens; the twin of runtime/events/events.c.
+"""Grid steps of coupled members with state events, their location and jumps; the twin of runtime/events/events.c.
 
 Instances by themselves land in compiled code.  docs/understand/events.md has the rules.
 """
@@ -14,7 +14,7 @@ from phfmu.engine.landing.event_jump import AGAIN, PILE, SLIDES, Guards, Jumps
 from phfmu.engine.landing.locate import EPS
 from phfmu.events.event_plan import Settings
 from phfmu.outcome.limits import LIMITS
-from phfmu.outcome.steps import Happened
+from phfmu.outcome.steps import EventRecord
 
 Array = NDArray[Any]
 
@@ -52,13 +52,13 @@ class Landing:
 
     def follows(
         self, t: float, h: float, decided: tuple[Array, list[int], list[int]], jumped: tuple[Array, Array]
-    ) -> Happened:
+    ) -> EventRecord:
         """Takes the parameters p of the events `fired`, some of which rest; `jumped`: energies got and lost by component."""
         (p, fired, rests), (energy, lost) = decided, jumped
         self.instance.set_parameters(p)
         self.instance.initialise()
         self._last[fired] = t
-        return Happened(t, tuple(fired), tuple(rests), energy, lost, self.instance.row())
+        return EventRecord(t, tuple(fired), tuple(rests), energy, lost, self.instance.row())
 
 
 def _set(p: Array, settings: Settings, i: int) -> None:

@@ -186,7 +186,7 @@ class Location:
         return None if tau is None else Crossing(tau, 0.0)
 
     def _turned(self, before: Any, trial: Trial, i: int, at: Crossing) -> float | None:
-        """As `_land`, of a guard that turns back: steps that end there look for values beyond zero, by parabolas."""
+        """Land as `_land` does on a guard that turns back: steps that end there look for values beyond zero, by parabolas."""
         whole, side, back = trial.h, np.sign(trial.start[i]), self.plan.direction[i] == np.sign(trial.start[i])
         left, right = (0.0, trial.start[i] * side), (whole, trial.end[i] * side)  # lengths, distances from zero
         least, h = None, at.tau * whole
@@ -304,7 +304,7 @@ class Location:
         ]
 
     def begun(self, t: float, h: float) -> list[int]:
-        """The same where a step of at most h begins after something was set.
+        """Events that set modes and whose guards are beyond zero where a step of at most h begins after something was set.
 
         The time itself is rounded there, so that a guard may be beyond zero by what it moves in that; a trial tells.
         """

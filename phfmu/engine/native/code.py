@@ -19,11 +19,11 @@ import casadi as ca
 
 from phfmu.engine.build import codegen
 from phfmu.engine.build.codegen import function_table, kernel_table
-from phfmu.engine.build.compile import Build, CompileError, CompilerMissing, Generated, compile, find, host_flags
+from phfmu.engine.build.compile import Build, CompileError, CompilerMissing, GeneratedSource, compile, find, host_flags
 from phfmu.engine.build.kernels import Kernels
 from phfmu.engine.build.operations import Operations, operations
 from phfmu.engine.build.runtime_sources import headers
-from phfmu.engine.build.tables import Filled
+from phfmu.engine.build.tables import TableMemory
 from phfmu.engine.native.library import runtime
 from phfmu.schur.stepper import SchurStepper
 
@@ -69,12 +69,12 @@ class CodeRow(ctypes.Structure):
     ]
 
 
-class Compiled:
+class CompiledCode:
     """Kernels in a library of their own, with the solver of `schur`; `announce` is called before a compiler runs."""
 
     compiled = True
 
-    def __init__(self, kernels: Kernels, source: Generated, announce: Announce = None) -> None:
+    def __init__(self, kernels: Kernels, source: GeneratedSource, announce: Announce = None) -> None:
         self.index = kernels.index
         self.build = compile(headers() | {"kernels.c": source}, flags=host_flags(), announce=announce)
         self._lib = ctypes.CDLL(str(self.build.path))
@@ -85,7 +85,7 @@ class Compiled:
         return False
 
 
-class Interpreted(Filled):
+class InterpretedCode(TableMemory):
     """Kernels as programs of the runtime, which become compiled ones when that is earned.
 
     `work`: operations of an evaluation of the plan of a step; 0: they stay interpreted.  prefix: of the functions of `lib`
@@ -128,19 +128,19 @@ class Interpreted(Filled):
     def compile(self, announce: Announce = None) -> None:
         """Compiled kernels at once."""
         if not self.compiled:
-            self._take(Compiled(self._kernels, source(self._kernels, None), announce))
+            self._take(CompiledCode(self._kernels, source(self._kernels, None), announce))
 
     def _beside(self) -> None:
         """The compiler beside the run; the text is made before, as CasADi is not for two threads."""
-        text = source(self._kernels, None).made()
+        text = source(self._kernels, None).with_text()
 
         def work() -> None:
             with suppress(CompilerMissing, CompileError, OSError):
-                self._take(Compiled(self._kernels, text))
+                self._take(CompiledCode(self._kernels, text))
 
         Thread(target=work, name="phfmu compiler", daemon=True).start()
 
-    def _take(self, other: Compiled) -> None:
+    def _take(self, other: CompiledCode) -> None:
         """Compiled kernels in place of the programs: functions by single stores, which may come between any two calls."""
         self._other = other
         at = CodeRow.from_address(other.address).kernels
@@ -149,7 +149,7 @@ class Interpreted(Filled):
         self.build, self.compiled = other.build, True
 
 
-Code = Compiled | Interpreted
+Code = CompiledCode | InterpretedCode
 
 
 def code_of(kernels: Kernels, schur: SchurStepper | None, kind: Kind, work: int = 0, announce: Announce = None) -> Code:
@@ -158,32 +158,32 @@ def code_of(kernels: Kernels, schur: SchurStepper | None, kind: Kind, work: int 
     Without a compiler a model with a Schur stepper takes Newton's method.
     """
     if kind == "interpreted":
-        return Interpreted(kernels)
+        return InterpretedCode(kernels)
     text = source(kernels, schur)
     if kind == "auto" and schur is None and not kernels.unknown and not _found(text):
-        return Interpreted(kernels, work)
+        return InterpretedCode(kernels, work)
     try:
-        return Compiled(kernels, text, announce)
+        return CompiledCode(kernels, text, announce)
     except CompilerMissing:
         if kind == "compiled" or kernels.unknown:
             raise
-        return Interpreted(kernels)
+        return InterpretedCode(kernels)
 
 
-def source(kernels: Kernels, schur: SchurStepper | None) -> Generated:
-    """kernels.c; without a Schur stepper it is known by its kernels and by what writes it."""
+def source(kernels: Kernels, schur: SchurStepper | None) -> GeneratedSource:
+    """The source kernels.c; without a Schur stepper it is known by its kernels and by the module that writes it."""
     if schur is not None:
         text = kernel_table(kernels, schur).text
-        return Generated(text, lambda: text)
+        return GeneratedSource(text, lambda: text)
     writer = hashlib.sha256(Path(codegen.__file__).read_bytes()).hexdigest()
-    return Generated(f"{kernels.token:#x} {ca.CasadiMeta.version()} {writer}", lambda: kernel_table(kernels).text)
+    return GeneratedSource(f"{kernels.token:#x} {ca.CasadiMeta.version()} {writer}", lambda: kernel_table(kernels).text)
 
 
-def _found(text: Generated) -> bool:
+def _found(text: GeneratedSource) -> bool:
     return find(headers() | {"kernels.c": text}, flags=host_flags()) is not None
 
 
-class Functions(Filled):
+class Functions(TableMemory):
     """ph_functions at `address`, compiled, if there is a compiler, or interpreted; None: one without a call."""
 
     def __init__(self, functions: Sequence[ca.Function | None], compiled: bool) -> None:
@@ -212,10 +212,10 @@ class Functions(Filled):
         return ctypes.addressof(rows)
 
 
-def _program(filled: Filled, table: Operations) -> tuple[int, int]:
-    """Address of a program that lives as long as `filled`, and the length of its work space."""
+def _program(memory: TableMemory, table: Operations) -> tuple[int, int]:
+    """Address of a program that lives as long as `memory`, and the length of its work space."""
     made = table.program()
-    return ctypes.addressof(filled.fill("ph_program", made, made.derived)), made.derived["nslot"]
+    return ctypes.addressof(memory.fill("ph_program", made, made.derived)), made.derived["nslot"]
 
 
 def _address(lib: ctypes.CDLL, name: str) -> int | None:

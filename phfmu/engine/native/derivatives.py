@@ -14,34 +14,34 @@ from numpy.typing import NDArray
 
 from phfmu.engine.build.codegen import tangents
 from phfmu.engine.impulses import PortKernels
-from phfmu.engine.model import Model
+from phfmu.engine.model import EngineModel
 from phfmu.engine.native.code import Code, Functions
-from phfmu.engine.native.compiled import Made
 from phfmu.engine.native.library import Directions, placed, view
+from phfmu.engine.native.native_model import NativeModel
 
 Floats = NDArray[np.float64]
 
 
-#: of code: what its tangents are
+#: tangents of code
 _TANGENTS: WeakKeyDictionary[Code, Functions] = WeakKeyDictionary()
 
 
-def _tangents(model: Model, made: Made) -> Functions:
+def _tangents(model: EngineModel, native: NativeModel) -> Functions:
     """The tangents of the kernels, made once for all models with the same code."""
-    found = _TANGENTS.get(made.code)
+    found = _TANGENTS.get(native.code)
     if found is None:
-        wanted = tangents(made.kernels, model.step, model.instant)
-        found = _TANGENTS[made.code] = Functions(wanted, made.code.compiled)
+        wanted = tangents(native.kernels, model.step, model.instant)
+        found = _TANGENTS[native.code] = Functions(wanted, native.code.compiled)
     return found
 
 
 class NativeChain:
     """An instance with the tangents of the kernels; it takes over the state of one without them."""
 
-    def __init__(self, model: Model, made: Made) -> None:
-        self._plan, self.lib = model.step, made.lib
-        self._functions = _tangents(model, made)
-        self._tables = made.tables.with_tangents(model, self._functions.address)
+    def __init__(self, model: EngineModel, native: NativeModel) -> None:
+        self._plan, self.lib = model.step, native.lib
+        self._functions = _tangents(model, native)
+        self._tables = native.tables.with_tangents(model, self._functions.address)
         self._memory = np.zeros(self.lib.ph_size(self._tables.pointer) // 8 + 1)
         self.address = self._memory.ctypes.data
         self._init = self.lib.ph_init(self.address, self._tables.pointer)
@@ -61,7 +61,7 @@ class NativeChain:
         return self._take(state) or self.lib.ph_step_along(self.address, Directions.of(du, dx, dy)), dy
 
     def end_along(self, du: Floats, dx: Floats) -> tuple[int, Floats]:
-        """The same of the outputs at the end (n x nu), for the state taken last; dx: directions of the state there."""
+        """Status and changes of the outputs at the end (n x nu), for the state taken last; dx: directions of the state there."""
         dy = np.empty((len(du), self._plan.nu))
         return self.lib.ph_end_along(self.address, Directions.of(du, dx, dy)), dy
 
@@ -69,8 +69,8 @@ class NativeChain:
         return self._init or self.lib.ph_load(self.address, state)
 
 
-class _Ports(Functions):
-    """The ph_ports of a model at `ports`."""
+class _PortFunctions(Functions):
+    """Functions of the ports of a model, with its ph_ports at the address `ports`."""
 
     def __init__(self, kernels: PortKernels, compiled: bool) -> None:
         names = ("shift", "jump", "tangent")
@@ -81,16 +81,16 @@ class _Ports(Functions):
         self.ports = ctypes.addressof(self.fill("ph_ports", None, values))
 
 
-_ports = lru_cache(maxsize=64)(_Ports)
+_ports = lru_cache(maxsize=64)(_PortFunctions)
 
 
 class NativeImpulses:
-    """Impulses on the instance at address `instance`, of a model with the shared parts `made`."""
+    """Impulses on the instance at address `instance`, of a model with the shared parts `native`."""
 
-    def __init__(self, made: Made, instance: int, kernels: PortKernels) -> None:
-        lib = made.lib
+    def __init__(self, native: NativeModel, instance: int, kernels: PortKernels) -> None:
+        lib = native.lib
         self.n, self._lib = kernels.n, lib
-        self._ports = _ports(kernels, made.code.compiled)
+        self._ports = _ports(kernels, native.code.compiled)
         self._memory, self.address = placed(lib, "ph_impulses", instance, self._ports.ports)
         address = lib.ph_impulse_values(self.address)
         #: at start and end of the coming steps, then of the last one (4 x n)

@@ -15,21 +15,21 @@ from numpy.typing import NDArray
 from phfmu.engine.build.cache import cache_folder
 from phfmu.engine.build.compile import Build, CompilerMissing, compile_once, require_compiler
 from phfmu.engine.build.runtime_sources import LIBRARIES, RUNTIME
-from phfmu.engine.model import Model
+from phfmu.engine.model import EngineModel
 from phfmu.engine.record import RECORD
 
-#: of functions: result and arguments
+#: result and arguments of functions, by name
 Signatures = dict[str, tuple[Any, list[Any]]]
 
 
-def record_widths(model: Model, signals: int) -> dict[str, int]:
+def record_widths(model: EngineModel, signals: int) -> dict[str, int]:
     """Length of a row of each; `signals`: of the signal table."""
     plan = model.step
     width = dict.fromkeys(RECORD, plan.ncomp) | dict.fromkeys(("y_step", "pairs"), plan.nq)
     return width | {"unknowns": plan.nw, "signals": signals, "x": plan.nx, "a": plan.na, "counts": 2}
 
 
-class Report(ctypes.Structure):
+class StepReport(ctypes.Structure):
     """ph_report."""
 
     _fields_ = [
@@ -52,7 +52,7 @@ class Record(ctypes.Structure):
     _fields_ += [(name, Column) for name in RECORD]
 
 
-class RestChange(ctypes.Structure):
+class RestChangeStruct(ctypes.Structure):
     """ph_rest_change."""
 
     _fields_ = [("time", ctypes.c_double), ("rests", ctypes.c_int), ("needed", ctypes.c_int)]
@@ -113,7 +113,7 @@ def load(path: Path) -> ctypes.CDLL:
         "ph_node_outputs": (pointer, [pointer]),
         "ph_continue": (integer, [pointer, pointer]),
         "ph_unknowns": (pointer, [pointer]),
-        "ph_rest_changes": (ctypes.POINTER(RestChange), [pointer, ctypes.POINTER(integer)]),
+        "ph_rest_changes": (ctypes.POINTER(RestChangeStruct), [pointer, ctypes.POINTER(integer)]),
         "ph_step": (integer, [pointer, real, real]),
         "ph_step_parts": (integer, [pointer, real, real, integer]),
         "ph_step_exactly": (integer, [pointer, real, real, integer]),
@@ -140,7 +140,7 @@ def load(path: Path) -> ctypes.CDLL:
         "ph_save": (None, [pointer, pointer]),
         "ph_load": (integer, [pointer, pointer]),
         "ph_counts": (pointer, [pointer]),
-        "ph_last_report": (ctypes.POINTER(Report), [pointer]),
+        "ph_last_report": (ctypes.POINTER(StepReport), [pointer]),
         "ph_status_text": (ctypes.c_char_p, [integer]),
     }
     return typed(lib, signatures)

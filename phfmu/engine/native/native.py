@@ -1,4 +1,4 @@
-"""Instances that step in compiled code.
+"""Instances that step in compiled code, and their addresses for compiled code that steps them itself.
 
 Their base class reads the state, the last step, values at the present time, and failures.
 """
@@ -8,6 +8,7 @@ from __future__ import annotations
 import ctypes
 import math
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 from weakref import ref
@@ -17,11 +18,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from phfmu.engine.impulses import Ports
 from phfmu.engine.instance import Instance
-from phfmu.engine.model import Model
+from phfmu.engine.model import EngineModel
 from phfmu.engine.native.code import Kind
-from phfmu.engine.native.compiled import made_of
-from phfmu.engine.native.handle import Handle
 from phfmu.engine.native.library import Column, Record, enums, record_widths, view
+from phfmu.engine.native.native_model import native_model
 from phfmu.engine.node_sensitivity import NodeSensitivity, chosen, columns, directions
 from phfmu.engine.record import Grid, step_by_step
 from phfmu.engine.rest_changes import RestChange, named
@@ -38,15 +38,34 @@ STATUS = tuple(Status)
 Floats = NDArray[np.float64]
 
 
+@dataclass(frozen=True)
+class Handle:
+    """Library and addresses of an instance, which must outlive the code that uses them.
+
+    kicked: its impulses if there are any yet;  check: raises what a status means;  impulses, tangents: makes them, and
+    compiles for it what they need
+    """
+
+    lib: ctypes.CDLL
+    instance: int
+    state_size: int
+    signals: int
+    node_outputs: int
+    kicked: NativeImpulses | None
+    check: Callable[[int], None]
+    impulses: Callable[[], NativeImpulses]
+    tangents: Callable[[], NativeChain]
+
+
 class NativeReadings(Instance):
     """The memory of an instance of `model` in its library, and how it is read."""
 
-    def __init__(self, model: Model, announce: Callable[[], None] | None, kernels: Kind) -> None:
+    def __init__(self, model: EngineModel, announce: Callable[[], None] | None, kernels: Kind) -> None:
         super().__init__(model)
-        self._made = made_of(model, kernels, announce)
+        self._native_model = native_model(model, kernels, announce)
         #: how they were asked for
         self.kind: Kind = kernels
-        self._tables, self._lib = self._made.tables, self._made.lib
+        self._tables, self._lib = self._native_model.tables, self._native_model.lib
         size = self._lib.ph_size(self._tables.pointer)
         if size == 0:
             raise StepFailure(Status.ABI, model.name, model.t0, 0.0)
@@ -117,7 +136,7 @@ class NativeReadings(Instance):
         return self._table[self._places[block]].copy()
 
     def _check(self, code: int) -> None:
-        """Raises what a status other than PH_OK means."""
+        """Raise the error of a status other than PH_OK."""
         if code == 0:
             return
         status, name = STATUS[code], self.model.name
@@ -143,11 +162,11 @@ class NativeInstance(NativeReadings):
     """
 
     def __init__(
-        self, model: Model, announce: Callable[[], None] | None = None, kernels: Kind = "auto", steps: float = 0
+        self, model: EngineModel, announce: Callable[[], None] | None = None, kernels: Kind = "auto", steps: float = 0
     ) -> None:
         super().__init__(model, announce, kernels)
         self._step, self._steps = self._lib.ph_step, self._lib.ph_step_parts
-        if self._made.code.count(steps):
+        if self._native_model.code.count(steps):
             self._step = self._steps = self._counted()
         self._kicked: NativeImpulses | None = None
         self._landing: NativeLanding | None = None
@@ -157,15 +176,15 @@ class NativeInstance(NativeReadings):
 
     @property
     def kernels(self) -> str:
-        """How they run at present: compiled or interpreted."""
-        return "compiled" if self._made.code.compiled else "interpreted"
+        """The present form of the kernels: compiled or interpreted."""
+        return "compiled" if self._native_model.code.compiled else "interpreted"
 
     def expect(self, steps: float) -> None:
-        self._made.code.count(steps)
+        self._native_model.code.count(steps)
 
     def _counted(self) -> Callable[..., int]:
         """Steps while it is open whether they earn it to compile kernels."""
-        code, lib, own = self._made.code, self._lib, ref(self)
+        code, lib, own = self._native_model.code, self._lib, ref(self)
 
         def step(address: int, t: float, h: float, parts: int = 1) -> int:
             instance = own()
@@ -230,7 +249,7 @@ class NativeInstance(NativeReadings):
         if self._kicked is None:
             from phfmu.engine.native.derivatives import NativeImpulses
 
-            self._kicked = NativeImpulses(self._made, self._in, self._ports.kernels)
+            self._kicked = NativeImpulses(self._native_model, self._in, self._ports.kernels)
         return self._kicked
 
     def _kicked_step(self, _: int, t: float, h: float, parts: int = 1) -> int:
@@ -274,7 +293,7 @@ class NativeInstance(NativeReadings):
 
     @property
     def landing(self) -> tuple[NativeLanding, Callable[[int], None]]:
-        """Its landing in compiled code, and what raises the status of one."""
+        """The landing of the instance in compiled code, and the function that raises the error of a status."""
         return self._lands, self._check
 
     def _land(self, grid: Grid, names: tuple[str, ...], changed: bool) -> Iterator[Landed]:
@@ -333,7 +352,7 @@ class NativeInstance(NativeReadings):
     def _chain(self) -> NativeChain:
         from phfmu.engine.native.derivatives import NativeChain
 
-        return NativeChain(self.model, self._made)
+        return NativeChain(self.model, self._native_model)
 
     @property
     def handle(self) -> Handle:

@@ -10,11 +10,11 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.engine.model import Model
+from phfmu.engine.model import EngineModel
 from phfmu.engine.native.library import Column, Record, Signatures, placed, record_widths, typed, view
 from phfmu.engine.record import Grid
 from phfmu.outcome.status import EventRefused, Status, StepFailure
-from phfmu.outcome.steps import Happened, Landed
+from phfmu.outcome.steps import EventRecord, Landed
 
 Floats = NDArray[np.float64]
 
@@ -47,7 +47,7 @@ class LentSteps(Protocol):
 
     @property
     def halved(self) -> int:
-        """How many steps so far were taken in parts."""
+        """Number of steps so far that were taken in parts."""
         ...
 
     @property
@@ -64,11 +64,11 @@ class LentSteps(Protocol):
         ...
 
     def save(self) -> None:
-        """Keeps where the others are, in place of what was kept before."""
+        """Keep the present state, in place of the one kept before."""
         ...
 
     def back(self) -> None:
-        """To where was kept."""
+        """Return to the state that was kept."""
         ...
 
 
@@ -78,26 +78,26 @@ _INSIDE = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_double, ctypes.c_void
 _MOVE = ctypes.CFUNCTYPE(None, ctypes.c_void_p)
 
 
-class _LentSteps(ctypes.Structure):
+class _LentStepsStruct(ctypes.Structure):
     """ph_lent_steps."""
 
     _fields_ = [("world", ctypes.c_void_p), ("step", _STEP), ("halved", _HALVED), ("inside", _INSIDE), ("save", _MOVE),
                 ("load", _MOVE)]  # fmt: skip
 
 
-class Lent:
-    """Steps lent to the instance as compiled code calls them; what they raise is kept until its call has returned."""
+class StepCallbacks:
+    """Steps lent to the instance as compiled code calls them; an error they raise is kept until its call has returned."""
 
     def __init__(self, steps: LentSteps, instance: Any):
         self._steps, self._instance, self._n = steps, instance, instance.model.step.nx
         self._refused: StepFailure | None = None
         self._broken: BaseException | None = None
-        self.table = _LentSteps(
+        self.table = _LentStepsStruct(
             None, _STEP(self._step), _HALVED(self._halved), _INSIDE(self._inside), _MOVE(self._save), _MOVE(self._back)
         )
 
     def require(self, status: int) -> None:
-        """Raises what was kept: a refused step if compiled code could not go on without it."""
+        """Raise the error that was kept: that of a refused step only if compiled code could not go on without it."""
         failure, self._broken = self._broken or (self._refused if status else None), None
         self._refused = None
         if failure is not None:
@@ -134,13 +134,13 @@ class Lent:
             self._broken = failure
 
 
-#: what a refused step of others is to compiled code
+#: status that a refused step of others is to compiled code
 _REFUSED = tuple(Status).index(Status.NO_CONVERGENCE)
 
 
 def one_by_one(
-    room: Room, take: Callable[[], Iterable[Landed]], pause: bool
-) -> Iterator[tuple[float, float, Happened | None]]:
+    room: LandingMemory, take: Callable[[], Iterable[Landed]], pause: bool
+) -> Iterator[tuple[float, float, EventRecord | None]]:
     """(start, length, None) of each step, (time, 0, what happened) of each event: `take` calls compiled code once more.
 
     Others follow each of these before the next.  `pause`: ends after the events of one time, if there are any.
@@ -169,7 +169,7 @@ def _typed(lib: ctypes.CDLL) -> ctypes.CDLL:
         "ph_landing_init": (pointer, [pointer, pointer, pointer]),
         "ph_land_from": (None, [pointer, real, real, integer, integer, integer]),
         "ph_land_to": (None, [pointer, real, real, integer]),
-        "ph_land_lent": (None, [pointer, ctypes.POINTER(_LentSteps)]),
+        "ph_land_lent": (None, [pointer, ctypes.POINTER(_LentStepsStruct)]),
         "ph_land": (integer, [pointer, ctypes.POINTER(Record), ctypes.POINTER(LandedRows)]),
         "ph_land_begin": (integer, [pointer, real, real, integer]),
         "ph_land_on": (integer, [pointer, ctypes.POINTER(LandedRows)]),
@@ -184,25 +184,25 @@ def _typed(lib: ctypes.CDLL) -> ctypes.CDLL:
 class NativeLanding:
     """The landing of the instance at address `instance` of the library `lib`; `width`: of its signal table."""
 
-    def __init__(self, model: Model, lib: ctypes.CDLL, instance: int, events: int | None, width: int):
+    def __init__(self, model: EngineModel, lib: ctypes.CDLL, instance: int, events: int | None, width: int):
         if events is None or model.events is None:
             raise ValueError(f"{model.name} has no state events: use run")
         self._model, self._plan, self._lib, self._width = model, model.events, _typed(lib), width
         self._memory, self._in = placed(lib, "ph_landing", instance, events)
 
     def over(self, grid: Grid, record: Iterable[str], changed: bool, check: Callable[[int], None]) -> Iterator[Landed]:
-        """The steps of a grid; `check` raises what a status means."""
+        """The steps of a grid; `check` raises the error of a status."""
         self._lib.ph_land_from(self._in, grid.t0, grid.h, grid.first, grid.n, int(changed))
         yield from self.on(grid.n, record, check, grid.pause)
 
-    def lend(self, lent: Lent) -> None:
-        """Its steps are those of others from now on."""
+    def lend(self, lent: StepCallbacks) -> None:
+        """Take the steps of others in place of those of the instance from now on."""
         self._lent = lent
         self._lib.ph_land_lent(self._in, lent.table)
 
     def to(
         self, t: float, end: float, changed: bool, pause: bool, check: Callable[[int], None]
-    ) -> Iterator[tuple[float, float, Happened | None]]:
+    ) -> Iterator[tuple[float, float, EventRecord | None]]:
         """The lent steps and events in [t, end], after those before them; see `one_by_one`."""
         self._lib.ph_land_to(self._in, t, end, int(changed))
         room = self.room(1, ())
@@ -237,15 +237,15 @@ class NativeLanding:
                 self.refuse(status)
                 check(status)
 
-    def room(self, n: int, record: Iterable[str], pause: bool = False) -> Room:
+    def room(self, n: int, record: Iterable[str], pause: bool = False) -> LandingMemory:
         """Memory for n grid steps with their events, and some more."""
         sizes = record_widths(self._model, self._width)
         rows = {name: np.full((n + STEPS, sizes[name]), np.nan) for name in record}
-        return Room(rows, n + STEPS, self._plan.n, self._model.step.ncomp, self._width, pause=pause)
+        return LandingMemory(rows, n + STEPS, self._plan.n, self._model.step.ncomp, self._width, pause=pause)
 
-    def step(self, t: float, h: float, parts: int, check: Callable[[int], None]) -> tuple[Happened, ...]:
+    def step(self, t: float, h: float, parts: int, check: Callable[[int], None]) -> tuple[EventRecord, ...]:
         """A communication step in `parts` equal internal steps, told as one; the events in it."""
-        out, found = self._one.rows, list[Happened]()
+        out, found = self._one.rows, list[EventRecord]()
         code, out.done = self._lib.ph_land_begin(self._in, t, h, parts), 0
         while not code and not out.done:
             code = self._lib.ph_land_on(self._in, out)
@@ -269,7 +269,7 @@ class NativeLanding:
         raise EventRefused(self._model.name, r.t, r.reason, names, r.value, r.limit)
 
 
-class Room:
+class LandingMemory:
     """Memory that steps and events are written to: `rows` for `steps` of them, and EVENTS events of `n` guards.
 
     `width`: of the signals after an event;  `changed` (EVENTS x switches): 1 = went off, 2 = on;  `pause`: it is full after
@@ -299,16 +299,16 @@ class Room:
 
     @property
     def over(self) -> bool:
-        """Whether nothing is left to land."""
+        """True if nothing is left to land."""
         return bool(self.out.done or (self.out.pause and self.out.events))
 
     def parts(self, words: Callable[[NDArray[np.int8]], tuple[str, ...]] = lambda _: ()) -> Iterator[Landed]:
-        """The steps and events of the last call; `words`: what a row of `changed` says."""
+        """The steps and events of the last call; `words`: the words for a row of `changed`."""
         begin = 0
         for i in range(self.out.events):
             who, end = self._fired[i], int(self._step[i])
             parts = self._energy[i].copy(), self._lost[i].copy(), self._signals[i].copy()
-            happened = Happened(
+            happened = EventRecord(
                 float(self._when[i]), _numbers(who > 0), _numbers(who > 1), *parts, words(self.changed[i])
             )
             yield self._landed(begin, end, happened)
@@ -316,13 +316,13 @@ class Room:
         if begin < self.out.steps:
             yield self._landed(begin, self.out.steps, None)
 
-    def _landed(self, begin: int, end: int, happened: Happened | None) -> Landed:
+    def _landed(self, begin: int, end: int, happened: EventRecord | None) -> Landed:
         part = {name: array[begin:end].copy() for name, array in self._rows.items()} if end > begin else {}
         return Landed(self._t[begin:end].copy(), self._h[begin:end].copy(), part, happened)
 
 
 class _Event:
-    """Room for one event."""
+    """Memory for one event."""
 
     def __init__(self, n: int, ncomp: int, width: int):
         self._when, self._step, self._fired = np.zeros(1), np.zeros(1, np.int32), np.zeros(n, np.int8)
@@ -330,9 +330,9 @@ class _Event:
         arrays = (self._when, self._step, self._fired, *self._parts)
         self.rows = LandedRows(0, 0, 0, 0, 0, 0, None, None, *(a.ctypes.data for a in arrays))
 
-    def happened(self) -> Happened:
+    def happened(self) -> EventRecord:
         energy, lost, signals = (part.copy() for part in self._parts)
-        return Happened(
+        return EventRecord(
             float(self._when[0]), _numbers(self._fired > 0), _numbers(self._fired > 1), energy, lost, signals
         )
 

@@ -16,12 +16,12 @@ from phfmu.engine.build.kernels import Kernels
 from phfmu.engine.build.mode_tables import ModeTables
 from phfmu.engine.native.code import Code, Kind, code_of
 from phfmu.engine.native.library import Record, Signatures, placed, record_widths, runtime, typed
-from phfmu.engine.native.native_landing import STEPS, LandedRows, Lent, LentSteps, Room, one_by_one
+from phfmu.engine.native.native_landing import STEPS, LandedRows, LandingMemory, LentSteps, StepCallbacks, one_by_one
 from phfmu.engine.record import Grid
 from phfmu.events.modes import Mode, most_held
 from phfmu.events.switch_tables import mode_rows, switch_tables
 from phfmu.outcome.status import EventRefused, Status
-from phfmu.outcome.steps import Happened, Landed
+from phfmu.outcome.steps import EventRecord, Landed
 
 ROWS = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p)
 MOST = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int)
@@ -53,8 +53,8 @@ class _Refusal(ctypes.Structure):
 
 
 @dataclass(frozen=True)
-class _Compiled:
-    """The common part of changes of modes of a model: tables, code, and what is known of modes."""
+class _ModeCode:
+    """The common part of changes of modes of a model: tables, code, and the known rows of modes."""
 
     lib: ctypes.CDLL
     tables: ModeTables
@@ -63,24 +63,23 @@ class _Compiled:
     rows: dict[Mode, int] = field(default_factory=dict)
 
 
-_MADE: dict[bool, WeakKeyDictionary[Model, _Compiled]] = {False: WeakKeyDictionary(), True: WeakKeyDictionary()}
+_CODES: dict[bool, WeakKeyDictionary[Model, _ModeCode]] = {False: WeakKeyDictionary(), True: WeakKeyDictionary()}
 
 
-def _compiled(model: Model, kind: Kind) -> _Compiled:
-    known = _MADE[kind == "interpreted"]
-    made = known.get(model)
-    if made is None:
+def _mode_code(model: Model, kind: Kind) -> _ModeCode:
+    known = _CODES[kind == "interpreted"]
+    found = known.get(model)
+    if found is None:
         assert model.modes is not None and model.events is not None
-        found = switch_tables(model.modes.modes, model.step, model.events, len(model.observable_names))
-        code = code_of(Kernels(found.kernels), None, kind)
-        made = known[model] = _Compiled(
-            _typed(runtime()[1]), ModeTables(found, code.index, code.address), found.told, code
-        )
-    return made
+        tables = switch_tables(model.modes.modes, model.step, model.events, len(model.observable_names))
+        code = code_of(Kernels(tables.kernels), None, kind)
+        lib = _typed(runtime()[1])
+        found = known[model] = _ModeCode(lib, ModeTables(tables, code.index, code.address), tables.told, code)
+    return found
 
 
 def _typed(lib: ctypes.CDLL) -> ctypes.CDLL:
-    """With the signatures of modes.h."""
+    """The library with the signatures of modes.h."""
     pointer, real, integer = ctypes.c_void_p, ctypes.c_double, ctypes.c_int
     signatures: Signatures = {
         "ph_modes_size": (ctypes.c_size_t, [pointer]),
@@ -102,20 +101,20 @@ class NativeModes:
 
     def __init__(self, switched: Any):
         self._switched, self._model = switched, switched.model
-        self._made, self._n = _compiled(switched.model, switched.present.kind), len(switched.mode)
+        self._mode_code, self._n = _mode_code(switched.model, switched.present.kind), len(switched.mode)
         self._sides = np.zeros(1 + 2 * self._n, np.int8)
         self._known: dict[Mode, _Mode] = {}
         self._keep: list[Any] = []
         self._failure: BaseException | None = None
         self._steps: LentSteps | None = None
-        self._lent: list[Lent] = []
+        self._lent: list[StepCallbacks] = []
         self._source = _Source(None, ROWS(self._rows), ROWS(self._whole), MOST(self._most))
         more = self._source, self._sides.ctypes.data
-        self._memory, self._in = placed(self._made.lib, "ph_modes", self._made.tables.pointer, more=more)
+        self._memory, self._in = placed(self._mode_code.lib, "ph_modes", self._mode_code.tables.pointer, more=more)
 
     def land(self, grid: Grid, record: tuple[str, ...], changed: bool) -> Iterator[Landed]:
         """Grid steps with their events; modes change between two rows."""
-        lib = self._made.lib
+        lib = self._mode_code.lib
         self.push()
         lib.ph_modes_from(self._in, grid.t0, grid.h, grid.first, grid.n, int(changed))
         room = self.room(grid.n, record, grid.pause)
@@ -128,12 +127,12 @@ class NativeModes:
                 self.refuse(status)
 
     def lend(self, steps: LentSteps) -> None:
-        """Its steps are those of others from now on, in each mode."""
+        """Take the steps of others in place of those of the instances from now on, in each mode."""
         self._steps = steps
 
-    def to(self, t: float, end: float, changed: bool, pause: bool) -> Iterator[tuple[float, float, Happened | None]]:
+    def to(self, t: float, end: float, changed: bool, pause: bool) -> Iterator[tuple[float, float, EventRecord | None]]:
         """The lent steps and events in [t, end], after those before them; see `one_by_one`."""
-        lib, room = self._made.lib, self.room(1, ())
+        lib, room = self._mode_code.lib, self.room(1, ())
         self.push()
         lib.ph_modes_to(self._in, t, end, int(changed))
 
@@ -149,11 +148,11 @@ class NativeModes:
 
         return one_by_one(room, take, pause)
 
-    def step(self, t: float, h: float, parts: int) -> tuple[Happened, ...]:
+    def step(self, t: float, h: float, parts: int) -> tuple[EventRecord, ...]:
         """A communication step in `parts` equal internal steps, told as one; the events in it."""
-        lib = self._made.lib
+        lib = self._mode_code.lib
         lib.ph_modes_begin(self._in, t, h, parts)
-        room, found = self._one, list[Happened]()
+        room, found = self._one, list[EventRecord]()
         room.out.done = 0
         while not room.out.done:
             self.push()
@@ -165,20 +164,20 @@ class NativeModes:
         return tuple(found)
 
     @cached_property
-    def _one(self) -> Room:
+    def _one(self) -> LandingMemory:
         return self.room(0, ())
 
-    def room(self, n: int, record: Iterable[str], pause: bool = False) -> Room:
+    def room(self, n: int, record: Iterable[str], pause: bool = False) -> LandingMemory:
         """Memory for n grid steps with their events, and some more."""
         model, plan = self._model, self._model.step
-        width = self._made.told + plan.ncomp
+        width = self._mode_code.told + plan.ncomp
         sizes = record_widths(model, width)
         rows = {name: np.full((n + STEPS, sizes[name]), np.nan) for name in record}
         if "signals" in rows:  # hidden constraints that a mode shows before they are left out
             rows["signals"] = np.full((n + STEPS, width + plan.nx + plan.na), np.nan)
-        return Room(rows, n + STEPS, model.events.n, plan.ncomp, width, self._n, pause=pause)
+        return LandingMemory(rows, n + STEPS, model.events.n, plan.ncomp, width, self._n, pause=pause)
 
-    def parts(self, room: Room) -> Iterator[Landed]:
+    def parts(self, room: LandingMemory) -> Iterator[Landed]:
         """The steps and events of the last call."""
         for part in room.parts(self._words):
             if "signals" in part.rows:
@@ -197,7 +196,7 @@ class NativeModes:
 
     def push(self) -> None:
         """Compiled code goes on in the mode that the instance is in."""
-        self._made.lib.ph_modes_prepare(self._in, self._switched.typical_step)
+        self._mode_code.lib.ph_modes_prepare(self._in, self._switched.typical_step)
         self._sides[:] = self._switched.sides
 
     def pull(self) -> None:
@@ -210,16 +209,16 @@ class NativeModes:
         return tuple(f"{switches[j].name} {'on' if changed[j] == 2 else 'off'}" for j in np.flatnonzero(changed))
 
     def refuse(self, status: int) -> None:
-        """Raises what a status means."""
+        """Raise the error of a status."""
         if self._failure is not None:
             failure, self._failure = self._failure, None
             raise failure
-        found = self._made.lib.ph_modes_refusal(self._in).contents
+        found = self._mode_code.lib.ph_modes_refusal(self._in).contents
         if tuple(Status)[status] is Status.EVENT and found.reason >= 0:
             flags = ctypes.string_at(found.which, self._n)
             names = [s.name for s, flag in zip(self._model.modes.modes.switches, flags, strict=True) if flag]
             raise EventRefused(self._model.name, found.t, found.reason, names, found.value, found.limit)
-        failed = self._made.lib.ph_modes_failed(self._in)
+        failed = self._mode_code.lib.ph_modes_failed(self._in)
         mode = next(m for m, entry in self._known.items() if ctypes.addressof(entry) == failed)
         landing, check = self._switched.of(mode)[0].landing
         landing.refuse(status)
@@ -231,10 +230,10 @@ class NativeModes:
         return tuple(ctypes.string_at(on, self._n))
 
     def _rows(self, _: int, on: int) -> int | None:
-        mode, known = self._mode(on), self._made.rows
+        mode, known = self._mode(on), self._mode_code.rows
         if mode not in known:
             try:
-                known[mode] = self._made.tables.rows(mode_rows(self._model.modes.modes, mode))
+                known[mode] = self._mode_code.tables.rows(mode_rows(self._model.modes.modes, mode))
             except Exception as failure:
                 self._failure = failure
                 return None
@@ -254,7 +253,7 @@ class NativeModes:
         instance, fresh = self._switched.of(mode)
         landing, _ = instance.landing
         if self._steps is not None:
-            self._lent.append(Lent(self._steps, instance))
+            self._lent.append(StepCallbacks(self._steps, instance))
             landing.lend(self._lent[-1])
         landing.stop_before(np.ones(self._model.events.n, np.int8))
         state = np.frombuffer(fresh, np.uint8)

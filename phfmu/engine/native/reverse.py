@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from phfmu.engine.build.compile import CompilerMissing, compile, host_flags
 from phfmu.engine.build.runtime_sources import headers
-from phfmu.engine.model import Model
+from phfmu.engine.model import EngineModel
 from phfmu.engine.native.code import Code, Functions
-from phfmu.engine.native.compiled import Made
 from phfmu.engine.native.library import Signatures, backwards, placed, typed, view
 from phfmu.engine.native.native import NativeInstance
+from phfmu.engine.native.native_model import NativeModel
 from phfmu.engine.switched import SwitchedInstance
 from phfmu.events.modes import Mode
 from phfmu.outcome.status import NoDerivative, Status
@@ -48,7 +48,7 @@ class _Parts(ctypes.Structure):
     ]
 
 
-class _RowBars(ctypes.Structure):
+class _RowBarsStruct(ctypes.Structure):
     """ph_row_bars."""
 
     _fields_ = [("n", ctypes.c_int), ("row", ctypes.c_void_p), ("bar", ctypes.c_void_p)]
@@ -60,12 +60,12 @@ class _Backwards(ctypes.Structure):
     _fields_ = [(n, ctypes.c_void_p) for n in ("kernels", "ledgers", "schur")]
 
 
-class _Functions:
+class _ReverseFunctions:
     """The kernels of code in reverse, and their ledgers; the way back of the Schur stepper of a model."""
 
-    def __init__(self, made: Made, schur: SchurStepper | None):
-        own = [m.kernel for m in made.kernels.members]
-        compiled = made.code.compiled
+    def __init__(self, native: NativeModel, schur: SchurStepper | None):
+        own = [m.kernel for m in native.kernels.members]
+        compiled = native.code.compiled
         self._kept = [Functions([f(k) for k in own], compiled) for f in (reverse, reverse_ledger)]
         self._lib = None if schur is None or not compiled else _schur_back(schur)
         address = None
@@ -85,20 +85,20 @@ def _schur_back(schur: SchurStepper) -> ctypes.CDLL | None:
         return None
 
 
-#: of code, made once for all models with the same
-_REVERSE: WeakKeyDictionary[Code, _Functions] = WeakKeyDictionary()
+#: reverse functions of code, made once for all models with the same
+_REVERSE: WeakKeyDictionary[Code, _ReverseFunctions] = WeakKeyDictionary()
 
 
-def _functions(made: Made, model: Model) -> _Functions:
-    """Those of the code of a model."""
-    found = _REVERSE.get(made.code)
+def _functions(native: NativeModel, model: EngineModel) -> _ReverseFunctions:
+    """The reverse functions of the code of a model."""
+    found = _REVERSE.get(native.code)
     if found is None:
-        found = _REVERSE[made.code] = _Functions(made, model.step.schur)
+        found = _REVERSE[native.code] = _ReverseFunctions(native, model.step.schur)
     return found
 
 
 def _typed(lib: ctypes.CDLL) -> ctypes.CDLL:
-    """With the signatures of reverse.h."""
+    """The library with the signatures of reverse.h."""
     pointer, integer, size = ctypes.c_void_p, ctypes.c_int, ctypes.c_size_t
     signatures: Signatures = {
         "ph_tape_width": (integer, [pointer]),
@@ -108,7 +108,7 @@ def _typed(lib: ctypes.CDLL) -> ctypes.CDLL:
         "ph_reverse_width": (integer, [pointer]),
         "ph_reverse_bars": (pointer, [pointer]),
         "ph_reverse_by_schur": (integer, [pointer]),
-        "ph_reverse_steps": (integer, [pointer, *(ctypes.POINTER(c) for c in (_Parts, _RowBars, ctypes.c_double))]),
+        "ph_reverse_steps": (integer, [pointer, *(ctypes.POINTER(c) for c in (_Parts, _RowBarsStruct, ctypes.c_double))]),
         "ph_reverse_instant": (integer, [pointer, pointer]),
     }  # fmt: skip
     return typed(lib, signatures)
@@ -198,7 +198,7 @@ class Bars:
 
     @property
     def all(self) -> tuple[Floats, ...]:
-        """They one after the other."""
+        """All arrays in the order of the fields."""
         return self.x, self.p, self.u, self.pairs, self.lost, self.h
 
 
@@ -212,16 +212,16 @@ class RowBars:
 
 
 class NativeReverse:
-    """The way back of n measures, over tapes of instances of a model with the shared parts `made`.
+    """The way back of n measures, over tapes of instances of a model with the shared parts `native`.
 
     schur: where the model has a Schur stepper, its factor serves, and the sparse LU only where that one does not; False: the
     sparse LU always.
     """
 
-    def __init__(self, model: Model, made: Made, n: int, schur: bool = True):
+    def __init__(self, model: EngineModel, native: NativeModel, n: int, schur: bool = True):
         self._model, self._lib = model, _typed(backwards())
-        self._functions = _functions(made, model)
-        self._memory, status = placed(self._lib, "ph", made.tables.pointer)
+        self._functions = _functions(native, model)
+        self._memory, status = placed(self._lib, "ph", native.tables.pointer)
         if status:
             raise RuntimeError(f"{model.name}: no memory of an instance")
         self._instance = self._memory.ctypes.data
@@ -229,7 +229,7 @@ class NativeReverse:
         about = self._instance, ctypes.addressof(self._table), n
         self._room = np.zeros(self._lib.ph_reverse_size(*about) // 8 + 1)
         self._in = self._lib.ph_reverse_init(self._room.ctypes.data, *about)
-        plan, width = model.step, self._lib.ph_reverse_width(made.tables.pointer)
+        plan, width = model.step, self._lib.ph_reverse_width(native.tables.pointer)
         values = view(self._lib.ph_reverse_bars(self._in), n * width).reshape(n, width)
         ends = np.cumsum([plan.nx + 1, plan.np, plan.nu, plan.nq, plan.ncomp]).tolist()
         self.bars = Bars(*np.split(values, ends, axis=1))
@@ -251,12 +251,15 @@ class NativeReverse:
         given, bar = np.ascontiguousarray(told.row, np.int32), np.ascontiguousarray(told.bar, float)
         parts = _Parts(len(rows), rows.ctypes.data, row.ctypes.data, part.ctypes.data, int(moves))
         at = ctypes.c_double()
-        bars = _RowBars(len(given), given.ctypes.data, bar.ctypes.data)
+        bars = _RowBarsStruct(len(given), given.ctypes.data, bar.ctypes.data)
         if self._lib.ph_reverse_steps(self._in, parts, bars, at):
             raise NoDerivative(at.value)
 
     def instant(self, t: float, x: Floats, u: Floats, p: Floats, a: Floats, bar: Floats) -> None:
-        """From values at an instant, `bar`: n x [a_end | y_end | observables | H]; a: its algebraic variables.  NoDerivative."""
+        """Go back from values at an instant; NoDerivative.
+
+        bar: n x [a_end | y_end | observables | H];  a: the algebraic variables of the instant
+        """
         lib, at = self._lib, self._instance
         x, u, p, a, bar = (np.ascontiguousarray(v, float) for v in (x, u, p, a, bar))
         lib.ph_set_parameters(at, p.ctypes.data)

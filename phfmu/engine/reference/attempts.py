@@ -7,20 +7,20 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from phfmu.engine.reference.newton import Array, Fixed, Newton, Outcome
+from phfmu.engine.reference.newton import Array, Fixed, Outcome, StepNewton
 from phfmu.outcome.limits import LIMITS
 from phfmu.outcome.status import Status
 
 
 @dataclass
 class Attempts:
-    """Solves a step from the unknowns `last` of the step h_last before (0: none).
+    """Attempts at one step, from the unknowns `last` of the step h_last before (0: none).
 
     `fixed`: what is fixed in a step of given length;  `most`: iterations after which no attempt begins;  after `solve`,
     `iterations` spent, and whether it took a restart or a line search.
     """
 
-    newton: Newton
+    newton: StepNewton
     last: Array
     h_last: float
     fixed: Callable[[float], Fixed]
@@ -31,7 +31,7 @@ class Attempts:
     outcome: Outcome = field(init=False)
 
     def solve(self, h: float) -> Outcome:
-        """From the last step, from rest, from shorter steps, then from the first two with line search."""
+        """Solve from the last step, from rest, from shorter steps, then from the first two with line search."""
         starts = [True] if self.h_last == 0 else [False, True]
         self.outcome = outcome = Outcome(Status.NO_CONVERGENCE, self.last)
         for damped in (False, True):
@@ -48,7 +48,7 @@ class Attempts:
         return outcome
 
     def _grow(self, h: float) -> Outcome:
-        """From the solution of a shorter step, h/2, h/4 or h/8, by doubling.
+        """Solve from the solution of a shorter step, h/2, h/4 or h/8, by doubling.
 
         It stays on the branch that starts at h = 0, and it enters the small region of convergence where a light mass
         moves fast on the curve that stiff springs and bars leave it.
@@ -63,7 +63,7 @@ class Attempts:
         return outcome
 
     def _attempt(self, h: float, rest: bool, damped: bool = False) -> Outcome:
-        """From the last step or from rest; where there were enough iterations, how the last attempt failed."""
+        """Solve from the last step or from rest; where there were enough iterations, return the last attempt's failure."""
         for bare, free in self.newton.ways:
             self.newton.bare = bare
             if self.iterations >= self.most:

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from phfmu.engine.reference.attempts import Attempts
 from phfmu.engine.reference.evaluate import TABLES, Evaluator, Stage
-from phfmu.engine.reference.newton import Fixed, Newton
+from phfmu.engine.reference.newton import Fixed, StepNewton
 from phfmu.engine.reference.state import State
 from phfmu.outcome.limits import LIMITS
 from phfmu.outcome.status import Status
@@ -87,7 +87,7 @@ class Tangents:
         whole = csc_array(by_x[1] + csc_array(R_z) @ by_x[0])
         return csc_array(whole[: plan.nw, : plan.nx])
 
-    def follow(self, newton: Newton, x: Array, p: Array, h: float, dx: Array, dv: Array) -> Array:
+    def follow(self, newton: StepNewton, x: Array, p: Array, h: float, dx: Array, dv: Array) -> Array:
         """dR along dx and the inputs of dv, with the unknowns, which go into dv, following."""
         nw = newton.plan.nw
         if nw:
@@ -96,7 +96,7 @@ class Tangents:
 
 
 def step_along(
-    tangents: Tangents, newton: Newton, s: State, inputs: Callable[[float, float], Array], du: Array, dx: Array
+    tangents: Tangents, newton: StepNewton, s: State, inputs: Callable[[float, float], Array], du: Array, dx: Array
 ) -> tuple[Array, Array] | None:
     """Changes of the outputs at the nodes (n x k x nu) and of the states at the end along n directions of the last step.
 
@@ -134,7 +134,7 @@ def step_along(
     return dy, dx
 
 
-def end_along(tangents: Tangents, newton: Newton, w: Array, fixed: Fixed, du: Array, dx: Array) -> Array:
+def end_along(tangents: Tangents, newton: StepNewton, w: Array, fixed: Fixed, du: Array, dx: Array) -> Array:
     """Changes of the outputs at one instant (n x nu) along n directions of its inputs (n x nu) and states, at its solution w."""
     plan, (x, _, p, h) = newton.plan, fixed
     newton.residual(w, fixed)
@@ -159,7 +159,7 @@ def _basis(nodes: Array, at: Array) -> Array:
     return out
 
 
-def _advance(newton: Newton, x: Array, w: Array, h: float) -> None:
+def _advance(newton: StepNewton, x: Array, w: Array, h: float) -> None:
     """x, or a direction of it, to the end of an internal step."""
     plan = newton.plan
     np.add.at(x, plan.update_x, plan.update_c * w[plan.update_w])

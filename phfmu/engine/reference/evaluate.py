@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from phfmu.discretise.model import Model
 from phfmu.engine.reference.state import State
-from phfmu.plan.buffered import Buffered
+from phfmu.plan.buffered import BufferedFunction
 from phfmu.plan.plan import Group, Plan, Products
 
 Array = NDArray[Any]
@@ -34,7 +34,7 @@ class Stage:
         self._rows = _joined([g.oi for g in groups], int)
         self._results = np.zeros(len(self._rows))
         self._power = _joined([np.broadcast_to(g.power, g.oi.shape) for g in groups], float)
-        self.kernels: list[Buffered] = []
+        self.kernels: list[BufferedFunction] = []
         arrays = [*self._taken, self._results]
         begin = [0] * len(arrays)
         for g, function in zip(groups, functions, strict=True):
@@ -45,7 +45,7 @@ class Stage:
                 parts.append(arrays[k][begin[k] : end].reshape(shape))
                 begin[k] = end
             more = [] if slots is None else [slots[g.slot : g.slot + g.n * g.kernel.nj]]
-            self.kernels.append(Buffered(function, parts[:-1], [parts[-1], *more]))
+            self.kernels.append(BufferedFunction(function, parts[:-1], [parts[-1], *more]))
 
     def take(self, *sources: Array) -> None:
         for taken, index, source in zip(self._taken, self._index, sources, strict=True):
@@ -86,7 +86,7 @@ class Evaluator:
             for g, values in zip(groups, stage.kernels, strict=True):
                 if g.kernel.ledger is not None:
                     results = [np.zeros((g.n, 1)) for _ in range(g.kernel.ledger.n_out())]
-                    self._ledgers.append((g.owner, Buffered(g.kernel.ledger, values.arg, results)))
+                    self._ledgers.append((g.owner, BufferedFunction(g.kernel.ledger, values.arg, results)))
         self.rests, self.gap = plan.hold.rests.copy(), np.zeros(len(plan.hold))
         self._entry = {id(p): np.repeat(np.arange(p.nnz), np.diff(p.ptr)) for p in (plan.matrix, plan.derivative)}
 
@@ -110,7 +110,7 @@ class Evaluator:
         return r
 
     def _rest(self, r: Array) -> None:
-        """Rows at rest are 0, after a look at what they miss: the mean of the node rows is (g' - g) / h."""
+        """Set rows at rest to 0, after a look at their residuals: the mean of the node rows is (g' - g) / h."""
         plan = self.plan
         for c in np.flatnonzero(self.rests):
             rows = list(plan.hold.rows[c])

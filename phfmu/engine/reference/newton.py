@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from scipy.sparse import csc_matrix
 
 Array = NDArray[np.float64]
-Fixed = tuple[Array, Array, Array, float]  # what is fixed in a solve: x, [u | h], p, h
+Fixed = tuple[Array, Array, Array, float]  # fixed values of a solve: x, [u | h], p, h
 
 EPS = float(np.finfo(float).eps)
 TOLERANCE, ROUNDING, STAGNATION = LIMITS["TOLERANCE"], LIMITS["ROUNDING"], LIMITS["STAGNATION"]
@@ -58,7 +58,7 @@ def _lapack() -> list[Callable[..., Any]]:
     return get_lapack_funcs(("getrf", "getrs"), dtype=np.float64)
 
 
-class Newton:
+class StepNewton:
     """Solves R[0:nw](w) = 0 for one plan."""
 
     def __init__(self, evaluator: Evaluator):
@@ -76,7 +76,7 @@ class Newton:
 
     @property
     def _loses_rank(self) -> bool:
-        """Whether constraints may lose rank beside masses that move by more than the rounding of forces.
+        """True if constraints may lose rank beside masses that move by more than the rounding of forces.
 
         Beside vanishing ones the multipliers are what moves them.
         """
@@ -84,7 +84,7 @@ class Newton:
 
     @property
     def ways(self) -> tuple[tuple[bool, bool], ...]:
-        """What to try in turn: `bare`, and whether to start without the last forces of constraints.
+        """Attempts to make in turn: `bare`, and whether to start without the last forces of constraints.
 
         Where there are constraints factors have no delta, so again without these forces, then with delta.
 
@@ -181,7 +181,7 @@ class Newton:
         return dw + self.solve(r + np.bincount(m.row, self.evaluator.matrix(h) * dw[m.col], self.plan.nw))
 
     def attempt(self, w: Array, fixed: Fixed, damped: bool) -> Outcome:
-        """Newton's method from w.
+        """Solve by Newton's method from w.
 
         With delta it may end where updates crawl along what delta is as large as, with rows at their floors and no better:
         from there it goes on without, and what it finds is taken.
@@ -236,7 +236,7 @@ class Newton:
         return self._failed(out, Status.NO_CONVERGENCE, r, fixed)
 
     def _solved(self, out: Outcome, last: float, grew: bool, stalls: int, wanders: int, r: Array, fixed: Fixed) -> bool:
-        """Whether one polish reaches rounding.
+        """True if one polish reaches rounding.
 
         Two updates tell what is left after it;  once one grew, as stiff and free directions take turns, both must be small.
         Two in a row that hardly shrink (stalls) are at the floor if the residual r before the last is rounding, or if they

@@ -10,18 +10,18 @@ from phfmu.discretise.model import Model
 from phfmu.engine.reference import rest, rest_start
 from phfmu.engine.reference.chain import Tangents, end_along
 from phfmu.engine.reference.evaluate import Array, Evaluator, inputs_at
-from phfmu.engine.reference.newton import Fixed, Newton, Outcome
+from phfmu.engine.reference.newton import Fixed, Outcome, StepNewton
 from phfmu.engine.reference.sensitivity import derivative
 from phfmu.engine.reference.state import State
 from phfmu.outcome.status import Status, StepFailure
 
 
-class Present:
+class PresentValues:
     """Algebraic variables, outputs, observables and energies of a state."""
 
     def __init__(self, model: Model):
         self.model = model
-        self._newton = Newton(Evaluator(model.instant))
+        self._newton = StepNewton(Evaluator(model.instant))
 
     def values(self, s: State) -> dict[str, Array]:
         """w, a, y, o, H; StepFailure where the instant system has no solution."""
@@ -51,7 +51,7 @@ class Present:
         }  # fmt: skip
 
     def _start(self, s: State) -> tuple[Array, Fixed]:
-        """The start of the instant system, and what is fixed in it."""
+        """The start of the instant system, and its fixed values."""
         plan = self.model.instant
         w = np.zeros(plan.nw)
         w[plan.mean_w] = s.a[plan.mean_a]

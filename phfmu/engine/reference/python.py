@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from phfmu.discretise.model import Model
-from phfmu.engine.impulses import Kicks, Ports
+from phfmu.engine.impulses import Ports, PythonImpulses
 from phfmu.engine.instance import Instance
 from phfmu.engine.model import require_no_landing
 from phfmu.engine.node_sensitivity import NodeSensitivity, chosen, columns, directions
 from phfmu.engine.record import Grid, step_by_step
 from phfmu.engine.reference.evaluate import carried
-from phfmu.engine.reference.present import Present
+from phfmu.engine.reference.present import PresentValues
 from phfmu.engine.reference.solves import Solves
 from phfmu.engine.reference.state import State
 from phfmu.engine.rest_changes import RestChange, named
@@ -36,8 +36,8 @@ class PythonReadings(Instance):
 
     def __init__(self, model: Model):
         super().__init__(model)
-        self._solves, self._present, self._ports = Solves(model), Present(model), Ports(model.declaration)
-        self._kicks = Kicks(self._ports)
+        self._solves, self._present, self._ports = Solves(model), PresentValues(model), Ports(model.declaration)
+        self._kicks = PythonImpulses(self._ports)
         self._s = State.at_start(model)
 
     @property
@@ -115,7 +115,7 @@ class PythonReadings(Instance):
 
 
 class PythonInstance(PythonReadings):
-    """An instance stepped in Python, to be read; `NativeInstance` gives the same numbers, what both are says `Instance`.
+    """An instance stepped in Python, to be read; `NativeInstance` gives the same numbers, `Instance` describes both.
 
     A model with state events has values and single exact steps here; Refusal where guards would have to be looked at.
     """

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.engine.reference.evaluate import Evaluator
-from phfmu.engine.reference.newton import Fixed, Newton
+from phfmu.engine.reference.newton import Fixed, StepNewton
 from phfmu.outcome.limits import LIMITS
 
 Array = NDArray[np.float64]
@@ -23,14 +23,14 @@ def called(evaluator: Evaluator) -> Flags:
     return evaluator.rests & ~(evaluator.gap <= LIMITS["REST_GAP"] * evaluator.plan.hold.size)
 
 
-def forces(newton: Newton, h: float) -> Array:
+def forces(newton: StepNewton, h: float) -> Array:
     """Size of the forces of a unit of each multiplier at each node (constraints x k)."""
     plan = newton.plan
     a = np.where(plan.matrix.row == plan.matrix.col, 0.0, newton.evaluator.matrix(h))
     return np.sqrt(np.bincount(plan.matrix.col, a**2, plan.nw))[_multipliers(newton)]
 
 
-def spread(newton: Newton, w: Array, h: float) -> Array:
+def spread(newton: StepNewton, w: Array, h: float) -> Array:
     """The unknowns with the multipliers of least norm: w + X t at each node, X null vectors of Dg^T, of least forces."""
     rows, d, out = _multipliers(newton), forces(newton, h), w.copy()
     for i, at in enumerate(rows.T):
@@ -40,7 +40,7 @@ def spread(newton: Newton, w: Array, h: float) -> Array:
     return out
 
 
-def evaluated(newton: Newton, rests: Flags, w: Array, fixed: Fixed) -> Array:
+def evaluated(newton: StepNewton, rests: Flags, w: Array, fixed: Fixed) -> Array:
     """All rows at the solution w, its multipliers those of least norm where constraints rest."""
     evaluator = newton.evaluator
     if rests.any():
@@ -54,7 +54,7 @@ def evaluated(newton: Newton, rests: Flags, w: Array, fixed: Fixed) -> Array:
     return w
 
 
-def exchange(newton: Newton, w: Array, h: float) -> Flags | None:
+def exchange(newton: StepNewton, w: Array, h: float) -> Flags | None:
     """Another constraint rests in place of one whose share in their dependence has become small; None if none has.
 
     Changes w along the dependence until it is 0 there.
@@ -77,11 +77,11 @@ def exchange(newton: Newton, w: Array, h: float) -> Flags | None:
     return found
 
 
-def _multipliers(newton: Newton) -> NDArray[np.int64]:
+def _multipliers(newton: StepNewton) -> NDArray[np.int64]:
     """Unknowns of the multipliers (constraints x k)."""
     return np.array([rows[: newton.plan.k] for rows in newton.plan.hold.rows])
 
 
-def _dependence(newton: Newton, row: int) -> Array:
+def _dependence(newton: StepNewton, row: int) -> Array:
     """The null vector of Dg^T in which the constraint at rest with this row has a multiplier of 1."""
     return newton.solve(-np.eye(1, newton.plan.nw, row)[0])

@@ -9,14 +9,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.engine.reference.newton import Fixed, Newton
+from phfmu.engine.reference.newton import Fixed, StepNewton
 from phfmu.engine.reference.rest import Flags, forces
 from phfmu.outcome.limits import LIMITS
 
 Array = NDArray[np.float64]
 
 
-def chosen(newton: Newton, w: Array, fixed: Fixed) -> Flags:
+def chosen(newton: StepNewton, w: Array, fixed: Fixed) -> Flags:
     """The constraints that rest; those of the plan where the matrix has no factor."""
     plan, evaluator = newton.plan.hold.rests, newton.evaluator
     evaluator.rests = plan.copy()
@@ -27,8 +27,8 @@ def chosen(newton: Newton, w: Array, fixed: Fixed) -> Flags:
     return evaluator.rests.copy() if found and _revised(newton, w, fixed) else plan.copy()
 
 
-def _taken(newton: Newton, w: Array, fixed: Fixed, bare: bool) -> bool:
-    """Whether there is a factor, bare or with delta, where these constraints rest; those without a force do."""
+def _taken(newton: StepNewton, w: Array, fixed: Fixed, bare: bool) -> bool:
+    """True if there is a factor, bare or with delta, where these constraints rest; those without a force do."""
     evaluator, before = newton.evaluator, None
     while before is None or (evaluator.rests != before).any():
         before = evaluator.rests.copy()
@@ -38,7 +38,7 @@ def _taken(newton: Newton, w: Array, fixed: Fixed, bare: bool) -> bool:
     return newton.factor(1.0)
 
 
-def _columns(newton: Newton) -> tuple[Array, NDArray[np.int64]]:
+def _columns(newton: StepNewton) -> tuple[Array, NDArray[np.int64]]:
     """Forces of a unit of each multiplier (nw x constraints), and where the multipliers are."""
     plan = newton.plan
     first = np.array([rows[0] for rows in plan.hold.rows])
@@ -51,7 +51,7 @@ def _columns(newton: Newton) -> tuple[Array, NDArray[np.int64]]:
     return out, first
 
 
-def _dependent(newton: Newton) -> int | None:
+def _dependent(newton: StepNewton) -> int | None:
     """A constraint that depends on others that do not rest either, the one with the largest force in their dependence.
 
     Inverse iteration from weights that do not cancel.
@@ -78,7 +78,7 @@ def _whose(x: Array, size: Array) -> int:
     return int(np.flatnonzero(force > (1.0 - LIMITS["REST_EQUAL"]) * force.max())[-1])
 
 
-def _revised(newton: Newton, w: Array, fixed: Fixed) -> bool:
+def _revised(newton: StepNewton, w: Array, fixed: Fixed) -> bool:
     """Lets those that rest and are needed come back, and those with larger forces in a dependence rest instead."""
     found = _taken(newton, w, fixed, bare=True)
     for _ in range(len(newton.plan.hold) + 1):
@@ -88,7 +88,7 @@ def _revised(newton: Newton, w: Array, fixed: Fixed) -> bool:
     return found
 
 
-def _revision(newton: Newton) -> bool:
+def _revision(newton: StepNewton) -> bool:
     """The first change that `_revised` makes, if any."""
     rests = newton.evaluator.rests
     columns, first = _columns(newton)

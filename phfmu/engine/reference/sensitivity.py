@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.engine.reference.newton import Fixed, Newton
+from phfmu.engine.reference.newton import Fixed, StepNewton
 from phfmu.engine.reference.rest import Flags
 
 Array = NDArray[Any]
 
 
-def derivative(newton: Newton, rests: Flags, w: Array, fixed: Fixed) -> Array:
+def derivative(newton: StepNewton, rests: Flags, w: Array, fixed: Fixed) -> Array:
     """D - C A^-1 B at the solution w (nu x nu), one refinement against the regularisation of the factor."""
     plan, d = newton.plan, newton.plan.derivative
     nw, nu = plan.nw, plan.nu

@@ -11,7 +11,7 @@ from phfmu.engine.reference import rest
 from phfmu.engine.reference.attempts import Attempts
 from phfmu.engine.reference.chain import Tangents, step_along
 from phfmu.engine.reference.evaluate import Array, Evaluator, carried, inputs_at
-from phfmu.engine.reference.newton import Newton, Outcome
+from phfmu.engine.reference.newton import Outcome, StepNewton
 from phfmu.engine.reference.sensitivity import derivative
 from phfmu.engine.reference.state import State
 from phfmu.outcome.limits import LIMITS
@@ -26,7 +26,7 @@ class Solves:
     def __init__(self, model: Model):
         self.model = model
         self._step = Evaluator(model.step)
-        self._newton = Newton(self._step)
+        self._newton = StepNewton(self._step)
         self._begun = self._most = 0.0  # of the iterations: at the start of the internal step, at most in all
 
     def take(self, s: State, t: float, h: float, parts: int) -> tuple[Array, Array, Array]:

@@ -79,9 +79,9 @@ static int attempt(ph_system *s, double h, int rest, ph_newton_kind kind) {
     return status;
 }
 
-/* From the solution of a shorter step, h/2, h/4 or h/8, by doubling. It stays on the branch that starts at h
- * = 0, and it enters the small region of convergence where a light mass moves fast on the curve that stiff
- * springs and bars leave it. */
+/* Solve from the solution of a shorter step, h/2, h/4 or h/8, by doubling. It stays on the branch that starts
+ * at h = 0, and it enters the small region of convergence where a light mass moves fast on the curve that
+ * stiff springs and bars leave it. */
 static int grow(ph_system *s, double h) {
     const size_t bytes = sizeof(double) * (size_t)s->plan->nw;
     double part = 1.0;

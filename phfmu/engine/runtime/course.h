@@ -15,7 +15,8 @@ typedef struct ph_course {
     int grew, stalls, wanders;
 } ph_course;
 
-/* From PH_AT_FLOOR on: solved if the residual is rounding, PH_CRAWLS: by the nominal size of unknowns. */
+/* The verdict on an update; from PH_AT_FLOOR on: solved if the residual is rounding, PH_CRAWLS: by the
+ * nominal size of unknowns. */
 typedef enum ph_verdict { PH_UNSOLVED, PH_SOLVED, PH_AT_FLOOR, PH_CRAWLS } ph_verdict;
 
 static inline ph_course ph_course_begun(ph_newton_kind kind) {

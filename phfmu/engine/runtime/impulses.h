@@ -9,7 +9,7 @@
 
 #include "phfmu.h"
 
-/* What the ports of a model do with impulses s; functions of all states x and parameters p. */
+/* Actions of impulses s at the ports of a model; functions of all states x and parameters p. */
 typedef struct ph_ports {
     int n;                      /* scalar ports with impulses */
     int nstate;                 /* states these move */
@@ -46,8 +46,8 @@ PH_API void ph_jump(ph_impulses *m, double *s);
 /* Directions of the last step: dx (count rows of nx+1+na) of the states goes through the impulse at its
  * start, or at its end, along the directions ds (count*n) of the impulse. */
 PH_API void ph_impulses_along(ph_impulses *m, int end, int count, const double *ds, double *dx);
-/* The same of one direction dp (np) of the parameters, which does not move the states before the impulse;
- * where the ports have slopes. */
+/* Directions of the states for one direction dp (np) of the parameters, which does not move the states before
+ * the impulse; where the ports have slopes. */
 PH_API void ph_impulses_by(ph_impulses *m, int end, const double *dp, double *dx);
 /* Change of S at the present time (n*n) along dx (nx) and dp (np); where the ports have slopes. */
 PH_API void ph_jump_along(ph_impulses *m, const double *dx, const double *dp, double *dS);

@@ -10,7 +10,8 @@
 #include "names.h"
 #include "real.h"
 
-/* What a residual may be of the energies in play in its step, unless the ledger is given another number. */
+/* The residual allowed in a step, relative to the energies in play, unless the ledger is given another
+ * number. */
 #define PH_RTOL 1e-11
 /* Roundings of the largest energy in play so far that a residual may be: constraint forces do work of their
  * own that cancels; measured: 4 in networks of machines, 2e3 in the fast heavy top, whose first term covers
@@ -24,7 +25,8 @@
 /* The sum over a run may be this many times the root of the sum of the squares of what its steps are allowed.
  */
 #define PH_DEVIATIONS 4
-/* What is allowed always: of energies below it squares, and in the end they themselves, have no digits left.
+/* The residual that is always allowed: of energies below it squares, and in the end they themselves, have no
+ * digits left.
  */
 #define PH_LEAST 1e-140
 
@@ -41,20 +43,21 @@ static inline ph_real ph_in_play(ph_real inside, ph_real stored, ph_real supplie
            PH_REAL_ABS(dissipated) + PH_REAL_ABS(numerical) + pairs;
 }
 
-/* What a residual may be in a step; `reach`: the most in play so far, the sum of the changes of H included;
+/* The residual allowed in a step; `reach`: the most in play so far, the sum of the changes of H included;
  * `varying`: what of H is not constant, and of a relation what is in play in the network. */
 static inline ph_real ph_allowed(double rtol, ph_real in_play, ph_real reach, ph_real varying) {
     return rtol * in_play + (PH_REACH_ULPS * DBL_EPSILON * reach + PH_LEAST) +
            PH_ULPS * DBL_EPSILON * varying;
 }
 
-/* What the sum of the residuals may be; `squares`: the sum of the squares of what the steps are allowed. */
+/* The sum of the residuals that is allowed; `squares`: the sum of the squares of what the steps are allowed.
+ */
 static inline ph_real ph_allowed_in_run(ph_real squares) {
     return PH_DEVIATIONS * PH_REAL_SQRT(squares);
 }
 
-/* How far H may be from what is booked of it, beside what is allowed in the step; `largest`: |H| so far,
- * `turnover`: the sum over the steps so far of what moved between the energies of the component. */
+/* The allowed difference of H and its booked value, beside the residual allowed in the step; `largest`: |H|
+ * so far, `turnover`: the sum over the steps so far of what moved between the energies of the component. */
 static inline ph_real ph_rounding_of_H(ph_real largest, ph_real turnover) {
     return PH_ULPS * DBL_EPSILON * largest + PH_PARTS * DBL_EPSILON * turnover;
 }

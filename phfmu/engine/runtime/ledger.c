@@ -39,7 +39,7 @@ static ph_truth beyond(const ph_real *restrict values, int n) {
     return found;
 }
 
-/* What the components of a weighed part were given, and the energies in play in them. */
+/* The energies supplied to the components of a weighed part, and those in play in them. */
 static void take_in_play(ph_instance *in) {
     const ph_system *s = &in->step;
     const ph_plan *p = s->plan;
@@ -59,7 +59,7 @@ static void take_in_play(ph_instance *in) {
                                     in->in_play[c]);
 }
 
-/* Whether the weighed part closes by the rule of the ledger, for what the instance knows of the run: not how
+/* True if the weighed part closes by the rule of the ledger, as far as the instance knows the run: not how
  * large H is, whose rounding would excuse more where hardly anything has moved. */
 ph_truth ph_closes(const ph_instance *in) {
     ph_truth closes = PH_TRUE;

@@ -159,7 +159,7 @@ static int full(ph_lu *lu, const ph_real *a, double forced) {
 }
 
 #ifndef PH_WIDTH
-/* Whether a search would take the pivot of step j again; others: the largest below it, of equals none is. */
+/* 1 if a search would take the pivot of step j again; others: the largest below it, of equals none is. */
 static int is_chosen(const ph_lu *lu, int j, double pivot, double others, const double *a) {
     const int prefer = lu->prefer[j], column = lu->order[j];
     const double most = pivot > others ? pivot : others;

@@ -26,7 +26,7 @@ static void regularise(const ph_plan *p, ph_real *scaled) {
     }
 }
 
-/* Whether factors are taken without delta; those of the other kind are not used again. */
+/* Sets whether factors are taken without delta; those of the other kind are not used again. */
 void ph_newton_bare(ph_system *s, int bare) {
     if (s->bare != bare)
         s->lu.filled = 0;
@@ -129,7 +129,7 @@ static ph_real correct(ph_system *s, const ph_real *base, double damping) {
 
 #ifndef PH_WIDTH
 
-/* Whether constraints may lose rank beside masses that move by more than the rounding of forces; beside
+/* 1 if constraints may lose rank beside masses that move by more than the rounding of forces; beside
  * vanishing ones the multipliers are what moves them. */
 static int loses_rank(const ph_plan *p) {
     return p->nhold > 0 && !p->vanishing;
@@ -232,7 +232,7 @@ static double moved(const ph_system *s) {
     return most;
 }
 
-/* Whether the last update is small enough (course.h), the floor looked at where that decides. */
+/* 1 if the last update is small enough (course.h), the floor looked at where that decides. */
 static int solved(const ph_system *s, const ph_course *c) {
     const int holds = loses_rank(s->plan);
     const ph_verdict verdict = ph_course_verdict(c, holds);
@@ -243,7 +243,7 @@ static int solved(const ph_system *s, const ph_course *c) {
     return at_floor(s, holds || verdict == PH_CRAWLS, s->base);
 }
 
-/* From the w in Y to the solution; afterwards Y and all rows R belong to the final w. */
+/* Solve from the w in Y; afterwards Y and all rows R belong to the final w. */
 int ph_newton(ph_system *s, ph_newton_kind kind) {
     const int damped = kind == PH_DAMPED;
     ph_course course = ph_course_begun(kind);

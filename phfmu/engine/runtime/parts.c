@@ -1,4 +1,4 @@
-/* Which parts a communication step was solved in: its internal steps, and the substeps of those that were
+/* The parts in which a communication step was solved: its internal steps, and the substeps of those that were
  * halved. Places in an internal step are counted in its smallest substeps. */
 #include <string.h>
 

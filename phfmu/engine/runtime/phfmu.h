@@ -99,7 +99,7 @@ typedef struct ph_report {
     double h;        /* its length */
 } ph_report;
 
-/* Which redundant constraint rests from the end of a step on, and which one does not any longer; -1: none. */
+/* A redundant constraint that rests from the end of a step on, and one that does not any longer; -1: none. */
 typedef struct ph_rest_change {
     double time;
     int rests, needed;
@@ -113,7 +113,7 @@ PH_API size_t ph_size(const ph_model *model);
 PH_API int ph_init(void *memory, const ph_model *model);
 /* Back to the start values of the model (state, algebraic guess, inputs, parameters, ledger). */
 PH_API int ph_reset(ph_instance *in);
-/* What was solved so far is not where the next solve starts from, so that what follows does not depend, not
+/* Forget the last solution: the next solve does not start from it, so that what follows does not depend, not
  * even in the last bit, on what was asked before. To be followed by ph_initialise. */
 PH_API void ph_forget(ph_instance *in);
 /* Solves the instant system: algebraic variables, outputs, observables and H become valid, and the
@@ -144,10 +144,10 @@ PH_API int ph_continue(ph_instance *in, const ph_instance *from);
  * internal step being the last one) is skipped. */
 PH_API int ph_step(ph_instance *in, double t, double h);
 PH_API int ph_step_parts(ph_instance *in, double t, double h, int n);
-/* The same, however short the step is. */
+/* ph_step_parts, however short the step is. */
 PH_API int ph_step_exactly(ph_instance *in, double t, double h, int n);
-/* To the time t in a step too short to be one: state, multipliers and step means stay, nothing is booked. The
- * values at the present time follow the inputs. */
+/* Move to the time t in a step too short to be one: state, multipliers and step means stay, nothing is
+ * booked. The values at the present time follow the inputs. */
 PH_API int ph_skip(ph_instance *in, double t);
 
 /* Steps one after the other told as one: `kept` (ph_kept_size) has rows, means and energies of what came
@@ -203,9 +203,9 @@ PH_API const ph_rest_change *ph_rest_changes(const ph_instance *in, int *n);
 /* S: nu*nu row-major, S[i,j] = d (step mean of external output i) / d (held input j), last step. Over several
  * internal steps or substeps it takes the tangents of the model. */
 PH_API int ph_sensitivity(ph_instance *in, double *s);
-/* How many solves the last step took; 0: none, or so many that it has no sensitivity. */
+/* Number of solves of the last step; 0: none, or so many that it has no sensitivity. */
 PH_API int ph_solves(const ph_instance *in);
-/* The same for the outputs at the present time. */
+/* S of the outputs at the present time in place of the step means. */
 PH_API int ph_sensitivity_end(ph_instance *in, double *s);
 
 /* n directions, one after the other. */
@@ -222,8 +222,8 @@ typedef struct ph_directions {
 /* Directional derivatives of the last step, with tangents only. dx: of the state at its start, in, and at its
  * end, out; dy: n (k*nu), of the outputs at the nodes, conjugate to its node inputs; da: of the means. */
 PH_API int ph_step_along(ph_instance *in, const ph_directions *d);
-/* The same for the outputs at the present time, the end of that step; dx: of the present state, in; dy: n nu.
- */
+/* Directional derivatives of the outputs at the present time, the end of that step; dx: of the present state,
+ * in; dy: n nu. */
 PH_API int ph_end_along(ph_instance *in, const ph_directions *d);
 
 /* Complete state, without pointers: restored into any instance of the model the same bits follow. */

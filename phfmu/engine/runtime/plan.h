@@ -137,7 +137,7 @@ typedef struct ph_model {
     const ph_function *slopes;   /* of the kernels, by their parameters, or NULL */
 } ph_model;
 
-/* Where kernels read: x old state, y = Y, p parameters, hp = {1, h, h^2}; work: where those that are
+/* Arguments of the kernels: x old state, y = Y, p parameters, hp = {1, h, h^2}; work: where those that are
  * interpreted work. */
 typedef struct ph_point {
     const ph_real *x, *y, *p;
@@ -160,7 +160,7 @@ struct ph_kernel {
     const void *program; /* what it runs, if it is interpreted */
 };
 
-/* What is made of the equations of a model, beside its tables.
+/* Code made of the equations of a model, beside its tables.
  * Rows of interpreted kernels may change to compiled ones at any time, as these give the same bits: functions
  * by single stores, the rest stays. */
 typedef struct ph_code {

@@ -28,7 +28,7 @@ void ph_rest_take(ph_instance *in) {
     }
 }
 
-/* Those of the plan rest. */
+/* Begin with the constraints at rest of the plan. */
 void ph_rest_begin(ph_instance *in) {
     const ph_plan *p = in->step.plan;
     if (p->nhold > 0)
@@ -36,7 +36,7 @@ void ph_rest_begin(ph_instance *in) {
     ph_rest_take(in);
 }
 
-/* Those of another instance of the declaration rest. */
+/* Continue with the constraints at rest of another instance of the declaration. */
 void ph_rest_continue(ph_instance *in, const ph_instance *from) {
     const int n = in->step.plan->nhold;
     if (n > 0 && n == from->step.plan->nhold) {
@@ -144,8 +144,8 @@ void ph_rest_spread(ph_system *s) {
     s->resting = resting;
 }
 
-/* The same for one constraint at rest after a step of the Schur stepper, by the factors of that; 0 if there
- * are more, or if another one should rest soon, which takes the factor of A. */
+/* Spread the force of one constraint at rest after a step of the Schur stepper, by the factors of that; 0 if
+ * there are more, or if another one should rest soon, which takes the factor of A. */
 static int spread_fast(ph_instance *in) {
     ph_system *s = &in->step;
     const ph_plan *p = s->plan;
@@ -287,7 +287,7 @@ int ph_rest_wake(ph_instance *in) {
     return found;
 }
 
-/* Those that have come back stay if the step is accepted, else they rest as before. */
+/* Constraints that have come back stay if the step is accepted, else they rest as before. */
 void ph_rest_settle(ph_instance *in, double time, int accepted) {
     int found = 0;
     for (int c = 0; c < in->step.plan->nhold; c++)

@@ -1,4 +1,4 @@
-/* Which constraints rest at a state or with parameters that were set: the plan's, but not those that are
+/* The constraints that rest at a state or with parameters that were set: the plan's, but not those that are
  * needed there, and those that depend on the others there. From the matrix of the instant system, whose
  * columns are the forces of the multipliers. */
 #include <math.h>
@@ -10,7 +10,7 @@ void ph_rest_placed(ph_instance *in) {
     in->head->placed = in->step.plan->nhold > 0;
 }
 
-/* Of the multipliers in dw: the largest force, and the last constraint that has it. */
+/* The largest force of the multipliers in dw, and the last constraint that has it. */
 static double largest(const ph_system *s, int *whose) {
     double most = 0.0;
     *whose = -1;
@@ -25,7 +25,7 @@ static double largest(const ph_system *s, int *whose) {
     return most;
 }
 
-/* What the forces of the multipliers in dw are together. */
+/* The norm of the sum of the forces of the multipliers in dw. */
 static double together(ph_system *s) {
     const ph_plan *p = s->plan;
     double sum = 0.0;

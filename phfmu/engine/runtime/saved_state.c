@@ -23,7 +23,7 @@ static void adopt(ph_system *s) {
     s->lu.known = s->lu.ready = s->lu.filled = 0;
 }
 
-/* Where a saved state has what the instance has at `own`. */
+/* The place in a saved state of the value that the instance has at `own`. */
 static const void *place(const ph_instance *in, const void *from, const void *own) {
     return (const char *)from + ((const char *)own - (const char *)(const void *)in->head);
 }
@@ -79,7 +79,7 @@ static int rests_fit(const ph_instance *in, const void *from, int changes) {
     return changes >= 0 && (n > 0 || changes == 0);
 }
 
-/* What may be set is finite, as it is when it is set; so are energies. */
+/* 1 if all values that may be set are finite, as they are when they are set, and energies too. */
 static int values_fit(const ph_instance *in, const void *from) {
     const ph_plan *p = in->model->step;
     return ph_finite(place(in, from, in->table), p->nx + 1) && ph_finite(place(in, from, in->rest), p->nx) &&

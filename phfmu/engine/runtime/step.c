@@ -20,7 +20,7 @@ static int solve(ph_instance *in, double h) {
     return PH_OK;
 }
 
-/* The same until no constraint at rest is needed; *called: some were. */
+/* Solve until no constraint at rest is needed; *called: some were. */
 static int solve_held(ph_instance *in, double h, int *called) {
     for (;;) {
         int status = solve(in, h);
@@ -132,14 +132,14 @@ int ph_skip(ph_instance *in, double t) {
     return PH_OK;
 }
 
-/* Whether a step begins with the factor of the last one. */
+/* 1 if a step begins with the factor of the last one. */
 int ph_trusts(const ph_head *head) {
     return head->kept && head->unkept == 0;
 }
 
-/* Whether factors are kept is measured: one has served if the step takes no factor of its own, nor so many
- * iterations more than steps without that they cost as much. One that has served too few steps is a loss,
- * and the next steps do without. */
+/* Measures whether factors are worth keeping: one has served if the step takes no factor of its own, nor so
+ * many iterations more than steps without that they cost as much. One that has served too few steps is a
+ * loss, and the next steps do without. */
 void ph_measure_trust(ph_head *head, int most, int trusts, int iterations, int factored) {
     if (!trusts) {
         head->usual = iterations;

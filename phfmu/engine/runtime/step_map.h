@@ -1,4 +1,4 @@
-/* What is done to whatever takes steps: a model, or the coupled members of a network.
+/* Step maps: the interface of what takes steps, a model or the coupled members of a network.
  *
  * A step map takes (state, inputs at the nodes of a step) to (state, outputs at the nodes, ledger); it can be
  * saved, and restored to the bit. Its values stand in tables of the blocks of phfmu.h. Who drives one, a unit
@@ -22,7 +22,7 @@ typedef struct ph_sizes {
     const double *weights; /* k */
 } ph_sizes;
 
-/* Where the files of a unit are, and who hears why a call was refused. */
+/* The folder of the files of a unit, and the function that is told why a call was refused. */
 typedef struct ph_surroundings {
     const char *resources; /* its folder, a path or an URI; NULL: nobody has told */
     const char *name;      /* of the instance */
@@ -30,7 +30,7 @@ typedef struct ph_surroundings {
     void *with;
 } ph_surroundings;
 
-/* As the functions of phfmu.h of these names; `about`: what is constant of the map, a ph_model or a
+/* The functions of phfmu.h of these names; `about`: the constant part of the map, a ph_model or a
  * ph_network, or a unit of another tool. A saved state is zero before the first `save` into it. */
 typedef struct ph_step_map {
     void (*sizes)(const void *about, ph_sizes *sizes);

@@ -26,7 +26,7 @@ typedef struct ph_lu {
     ph_truth refused; /* of several runs: a pivot has become too small */
 } ph_lu;
 
-/* Its arrays, from sizes n, nnz and capacity. */
+/* Take the arrays of a factor from the pool, by its sizes n, nnz and capacity. */
 void ph_lu_take(ph_lu *lu, ph_pool *pool);
 int ph_lu_factor(ph_lu *lu, const ph_real *a, long long *count);
 int ph_lu_forced(ph_lu *lu, const ph_real *a, double forced);
@@ -177,7 +177,7 @@ typedef struct ph_chain {
     double **res;
 } ph_chain;
 
-/* Who is told of every accepted part of a step, before the state moves; see reverse/reverse.h. */
+/* The tape, which is told of every accepted part of a step before the state moves; see reverse/reverse.h. */
 typedef struct ph_tape ph_tape;
 struct ph_tape {
     void (*take)(ph_tape *tape, const ph_instance *in, double h);

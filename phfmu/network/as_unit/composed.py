@@ -1,7 +1,7 @@
 """Members that land as one composed declaration, as a unit has them: with ideal switches, or guards that read what others give.
 
 The composed declaration is there in each mode of its switches, and takes no step: guards, modes and jumps are asked of it.  Steps
-are the members' own, under the rows of the junctions in the present mode (`couplings/landing/switching.py`).
+are the members' own, under the rows of the junctions in the present mode (`couplings/landing/composed_lander.py`).
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from phfmu.events.roots import fit
 from phfmu.fmu.export.unit_modes import ROWS, SWITCHES, UnitModes, events_symbol, model_symbol, unit_modes
 from phfmu.fmu.words import c_string
 from phfmu.fmu.xml import number
-from phfmu.network.couplings.compiled.master_pattern import Pattern, exchanged
+from phfmu.network.couplings.compiled.master_pattern import MasterPattern, exchange_tables
 from phfmu.network.couplings.coupled import Coupled
 from phfmu.network.couplings.unconverged import plain
 from phfmu.network.members.engine_member import EngineMember
@@ -103,9 +103,9 @@ class ComposedEvents:
         return rows, where
 
     def _rows(self) -> JunctionRows:
-        e = exchanged(self.whole.joined, plain(self.whole.coupling))
+        e = exchange_tables(self.whole.joined, plain(self.whole.coupling))
         try:
-            p = Pattern(e)
+            p = MasterPattern(e)
         except StructurallySingular:
             return JunctionRows()
         lists = {
@@ -176,7 +176,7 @@ class ComposedEvents:
         members = range(len(self.models))
         landing = self._landing
         lists = {
-            "members": np.arange(len(self.models)), "free": landing.everyone.unfed, "column": landing.columns,
+            "members": np.arange(len(self.models)), "free": landing.members_state.unfed, "column": landing.columns,
             "relations": np.array([*self.relations]), "unknown": np.array(self._unknowns()),
         }  # fmt: skip
         text = "".join(array_text("int", f"landing_{n}", np.asarray(a, np.int32)) for n, a in lists.items() if len(a))

@@ -107,7 +107,7 @@ def _more(names: Sequence[str]) -> str:
 
 
 @dataclass(frozen=True, eq=False)
-class Embedded:
+class EmbeddedUnit:
     """A unit of another tool as a member: what the run steps, and its file.
 
     `step`, `instant`: lengths of its blocks, as those of a model.
@@ -126,14 +126,14 @@ class Embedded:
 
     @cached_property
     def told(self) -> list[Scalar]:
-        """What it tells beside the values of its ports: all outputs and local variables."""
+        """Output and local variables that the unit tells beside the values of its ports; Float64 first."""
         scalars = [self.unit.variable(n) for n in self.member.names]
         told = [v for v in scalars if (v.type == "Float64" or not v.size) and writable_name(v.name)]
         return [*(v for v in told if v.type == "Float64"), *(v for v in told if v.type != "Float64")]
 
     @cached_property
     def settable(self) -> list[Scalar]:
-        """What may be set: parameters, inputs without power, then what else has a start that was given."""
+        """Variables that may be set: parameters, inputs without power, then others with a start value that was given."""
         variables = self.file.interface.variables
         parameters = [v for v in variables.values() if v.causality == "parameter" and v.start is not None]
         known = [*parameters, *(variables[n] for n in self.unit.other_inputs)]

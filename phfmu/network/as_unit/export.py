@@ -11,7 +11,7 @@ from phfmu.fmu.export.variables import FMUError
 from phfmu.fmu.version import VERSIONS, Version
 from phfmu.network.as_unit.embedded import require_embeddable, untold
 from phfmu.network.as_unit.unit import coupled_members, network_unit, with_fed_inside
-from phfmu.network.couplings.choice.named import named_coupling, repeats
+from phfmu.network.couplings.choice.coupling_choice import named_coupling, repeats
 from phfmu.network.couplings.coupling_table import NEWTON
 from phfmu.network.members.unit_member import tried
 from phfmu.network.network import Network
@@ -45,7 +45,7 @@ def export_network(
     `coupling`, `sequence`: its name, and of members that step in turn their order;
     `tunable`, `events`, `outward`: of members, `member.name`; all else as of `export`.  Errors: FMUError for members that the
     master inside does not step: units of this package, units that cannot be inside another one, state events, signals held over
-    steps; ValueError for an unknown coupling.
+    steps.  Raises ValueError for an unknown coupling.
     """
     rows = rows_of(versions)
     network = with_fed_inside(network, [e.name for e in events])

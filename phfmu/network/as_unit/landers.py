@@ -53,7 +53,7 @@ class Landers:
 
     @property
     def _number(self) -> int:
-        """Of the files of the model."""
+        """Number in the names of the C files of the model."""
         return self.members[0] if len(self.models) == 1 else self.size
 
     def files(self) -> dict[str, str]:
@@ -73,7 +73,7 @@ class Landers:
         return "    .lander = &lander,\n"
 
     def text(self) -> str:
-        """What defines `lander`, a ph_lander."""
+        """C text that defines `lander`, a ph_lander."""
         n = self._number
         names = [f"{m}.{g}" for m, model in zip(self.names, self.models, strict=True) for g in model.events.names]  # type: ignore[union-attr]
         functions = "".join(f", .{f} = ph_lander_{f}" for f in _FUNCTIONS)

@@ -20,7 +20,7 @@ from phfmu.engine.model import kernels
 from phfmu.fmu.words import c_string
 from phfmu.fmu.xml import number
 from phfmu.network.as_unit.composed import ComposedEvents
-from phfmu.network.as_unit.embedded import Embedded
+from phfmu.network.as_unit.embedded import EmbeddedUnit
 from phfmu.network.as_unit.landers import Landers
 from phfmu.network.couplings.compiled.master import Master
 from phfmu.network.couplings.compiled.master_library import HEADER, START_TRIALS
@@ -43,14 +43,14 @@ _OWN: dict[str, set[str]] = {
 
 
 @dataclass
-class Tables:
+class TableText:
     """Text of the tables, and the memory that is laid out for what is written to (bytes)."""
 
     arrays: list[str] = field(default_factory=list)
     room: int = 0
 
     def struct(self, kind: str, name: str, values: Mapping[str, Any]) -> tuple[str, list[str]]:
-        """What initialises a structure, and where its pointers into the memory go: rows of ph_room."""
+        """Initialiser of a structure in C, and rows of ph_room for its pointers into the memory."""
         members, rooms = [], []
         for f in HEADER.fields[kind]:
             value = values[f.name]
@@ -72,13 +72,13 @@ class Tables:
 def network_files(
     whole: Coupled,
     master: Master,
-    members: Sequence[Model | Embedded],
+    members: Sequence[Model | EmbeddedUnit],
     step: float,
     landing: Landers | ComposedEvents | None,
 ) -> dict[str, str]:
     """kernels, tangents, models and ports of all members, and network.c: file name -> text; alike members share theirs."""
     together, relations = landing if isinstance(landing, Landers) else None, _relations(landing)
-    models = {i: m for i, m in enumerate(members) if not isinstance(m, Embedded) and i not in relations}
+    models = {i: m for i, m in enumerate(members) if not isinstance(m, EmbeddedUnit) and i not in relations}
     guarded = {
         i: None if isinstance(landing, ComposedEvents) else together.plan(i) if together and i in together.members
         else m.events for i, m in models.items()
@@ -123,12 +123,12 @@ def _filled(master: Master, kind: str) -> list[Mapping[str, Any]]:
 def _network_text(
     whole: Coupled,
     master: Master,
-    members: Sequence[Model | Embedded],
+    members: Sequence[Model | EmbeddedUnit],
     ports: Sequence[int | None],
     step: float,
     landing: Landers | ComposedEvents | None,
 ) -> str:
-    tables, rows = Tables(), []
+    tables, rows = TableText(), []
     together = landing if isinstance(landing, Landers) else None
     composed = landing if isinstance(landing, ComposedEvents) else None
     externs = ""
@@ -136,7 +136,7 @@ def _network_text(
     for i, (share, member, port) in enumerate(zip(shares, members, ports, strict=True)):
         length = np.zeros(share["length"])
         s, own = tables.struct("ph_share", f"share{i}", {**share, "record": length})
-        if isinstance(member, Embedded):
+        if isinstance(member, EmbeddedUnit):
             more, what = list[str](), f".unit = &embedded{i}"
             part = master.found.parts[i]
             tables.arrays.append(member.text(f"embedded{i}", part.told, part.taken))
@@ -177,7 +177,7 @@ def _network_text(
     tables.arrays.append(_rooms("rooms", rooms))
     held = _held(tables, master)
     memory = _memory(tables, master)
-    with_events = [i for i, m in enumerate(members) if not isinstance(m, Embedded) and m.events is not None]
+    with_events = [i for i, m in enumerate(members) if not isinstance(m, EmbeddedUnit) and m.events is not None]
     headers = ["network_lander.h"] if together else []
     headers += ["composed_lander.h", "relation.h"] if composed else []
     inside = not composed and {*with_events} - {*(together.members if together else ())}
@@ -189,7 +189,7 @@ def _network_text(
 /* Generated. The members of {len(rows)} models, and how they are coupled. */
 #include <math.h>
 
-#include "{"embedded.h" if any(isinstance(m, Embedded) for m in members) else "network.h"}"
+#include "{"embedded.h" if any(isinstance(m, EmbeddedUnit) for m in members) else "network.h"}"
 {"".join(f'#include "{name}"' + chr(10) for name in headers)}
 {"".join(f'#include "{name}"' + chr(10) for name in SOLVER_FILES[master.solver] if name.endswith(".h"))}
 {externs}
@@ -209,7 +209,7 @@ const ph_network ph_the_network = {{
 {held}    .signals = {len(whole.joined.face.names)},
     .room = {tables.room},
     .step = {number(step)},
-    .trials = {START_TRIALS if whole.from_short_steps or not any(isinstance(m, Embedded) for m in members) else 1},
+    .trials = {START_TRIALS if whole.from_short_steps or not any(isinstance(m, EmbeddedUnit) for m in members) else 1},
 {given}{landing.fields() if landing else ""}    .njunction = {len(first) - 1},
 }};
 """
@@ -225,7 +225,7 @@ def _inside(i: int, names: Sequence[str]) -> str:
     )
 
 
-def _held(tables: Tables, master: Master) -> str:
+def _held(tables: TableText, master: Master) -> str:
     """Fields of the signals that are held over steps, if there are any."""
     for values in _filled(master, "ph_held"):
         own, rooms = tables.struct("ph_held", "held", {**values, "row": np.zeros(values["n"])})
@@ -240,7 +240,7 @@ def _rules(rules: Mapping[str, Any]) -> str:
     return f"{whole}, .repeated = {number(float(rules['repeated']))}"
 
 
-def _memory(tables: Tables, master: Master) -> str:
+def _memory(tables: TableText, master: Master) -> str:
     """Fields of the memory of the solver, if it has one."""
     kind = f"ph_{master.solver}"
     for values in _filled(master, kind):
@@ -258,7 +258,7 @@ def _rooms(name: str, rows: Sequence[str]) -> str:
 
 
 def junction_pairs(whole: Coupled) -> tuple[list[int], list[int]]:
-    """Where the pairs of each junction begin, and their places among those of all members."""
+    """First pair of each junction (junctions + 1), and the places of the pairs among those of all members."""
     joined = whole.joined
     first, at = dict[str, int](), 0
     for m in joined.members:

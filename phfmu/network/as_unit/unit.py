@@ -25,13 +25,13 @@ from phfmu.fmu.export.outward import require_ports, turned
 from phfmu.fmu.export.schedule import fed_inside
 from phfmu.fmu.export.variables import FMUError, FMUVariable, listed
 from phfmu.network.as_unit.composed import ComposedEvents
-from phfmu.network.as_unit.embedded import Embedded
+from phfmu.network.as_unit.embedded import EmbeddedUnit
 from phfmu.network.as_unit.landers import Landers, not_landed
 from phfmu.network.as_unit.text import SOLVER_FILES, network_files
+from phfmu.network.couplings.choice.coupling_choice import NamedCoupling
 from phfmu.network.couplings.choice.gathered import COMPOSED
-from phfmu.network.couplings.choice.named import Named
 from phfmu.network.couplings.compiled.master import Master
-from phfmu.network.couplings.compiled.shares import Make, NativeShare, own_share
+from phfmu.network.couplings.compiled.shares import NativeShare, ShareMaker, own_share
 from phfmu.network.couplings.coupled import Coupled
 from phfmu.network.couplings.newton import Newton
 from phfmu.network.couplings.unconverged import plain
@@ -86,7 +86,7 @@ class NetworkUnit(Unit):
     """
 
     whole: Coupled = None  # type: ignore[assignment]
-    models: tuple[Model | Embedded, ...] = ()
+    models: tuple[Model | EmbeddedUnit, ...] = ()
 
     derives = False
     about = "ph_network", "ph_the_network", "ph_map_network"
@@ -129,19 +129,19 @@ class NetworkUnit(Unit):
         return ""
 
     @property
-    def members(self) -> list[tuple[str, Model | Embedded]]:
+    def members(self) -> list[tuple[str, Model | EmbeddedUnit]]:
         """Names of the members and what they are."""
         return [(m.name, model) for m, model in zip(self.whole.joined.members, self.models, strict=True)]
 
     @property
     def named(self) -> list[tuple[str, Model]]:
         """Names and models of those that have one."""
-        return [(name, m) for name, m in self.members if not isinstance(m, Embedded)]
+        return [(name, m) for name, m in self.members if not isinstance(m, EmbeddedUnit)]
 
     @property
-    def units(self) -> list[Embedded]:
+    def units(self) -> list[EmbeddedUnit]:
         """Units of other tools inside."""
-        return [m for m in self.models if isinstance(m, Embedded)]
+        return [m for m in self.models if isinstance(m, EmbeddedUnit)]
 
     @property
     def landing_members(self) -> list[tuple[str, Model]]:
@@ -199,7 +199,7 @@ class NetworkUnit(Unit):
             return None
         members = enumerate(self.whole.joined.members)
         own = [i for i, m in members if isinstance(m, EngineMember) and m.together]
-        models = tuple(m for i, m in enumerate(self.models) if i in own and not isinstance(m, Embedded))
+        models = tuple(m for i, m in enumerate(self.models) if i in own and not isinstance(m, EmbeddedUnit))
         names = tuple(self.whole.joined.members[i].name for i in own)
         return Landers(models, tuple(own), names, len(self.models)) if own else None
 
@@ -235,7 +235,7 @@ class NetworkUnit(Unit):
     def equations(self) -> list[tuple[str, Sequence[str], Sequence[str]]]:
         junctions = [f"the sum at {n}" for n in self.whole.joined.face.names]
         rows = [
-            (name, (), ()) if isinstance(m, Embedded) else (name, m.row_names, m.instant_names)
+            (name, (), ()) if isinstance(m, EmbeddedUnit) else (name, m.row_names, m.instant_names)
             for name, m in self.members
         ]
         return [*rows, ("junctions", junctions, ())]
@@ -290,13 +290,13 @@ class NetworkUnit(Unit):
         if self.lands:
             yield from self._happened()
 
-    def _of_member(self, name: str, model: Model | Embedded, first: dict[str, int]) -> Iterator[Quantity]:
+    def _of_member(self, name: str, model: Model | EmbeddedUnit, first: dict[str, int]) -> Iterator[Quantity]:
         """Those of a member, `first`: where its entries of each block begin; what junctions and signals feed cannot be set."""
         network = self.whole.joined.network
         ends = {e.port for j in network.junctions for e in j.ends if e.member == name}
         ends |= {w.input.partition("[")[0] for w in network.wires if w.target == name}
         held = {w.input for w in network.wires if w.target == name and (name, w.input) not in self.whole.joined.taken}
-        if isinstance(model, Embedded):
+        if isinstance(model, EmbeddedUnit):
             joined = [p for p in model.unit.ports if p.name in ends]
             inputs, inner = {n for p in joined for n in p.inputs}, set[str]()
             told = model.quantities(frozenset(p.name for p in joined))
@@ -305,7 +305,7 @@ class NetworkUnit(Unit):
             inputs = {n for p in fed for n in p.input_names()}
             inner = {n for p in fed for e in ("", MEAN) for n in p.output_names(e)} | {port_energy(p.name) for p in fed}
             told = quantities(model)
-        modes = set[str]() if isinstance(model, Embedded) else {*model.declaration.modes}
+        modes = set[str]() if isinstance(model, EmbeddedUnit) else {*model.declaration.modes}
         for q in told:
             if q.causality == "independent" or q.name in modes or (not name and q.name in _TOTALS):
                 continue
@@ -336,12 +336,12 @@ class NetworkUnit(Unit):
             yield Quantity(total(name), "output", block, 0, n, None, "J", description=text)
 
     def _happened(self) -> Iterator[Quantity]:
-        """What state events tell, and the modes that they set."""
+        """Quantities that state events tell, and the modes that they set."""
         for i, (name, unit, text) in enumerate(HAPPENED):
             yield Quantity(name, "output", "happened", i, 1, None, unit, description=text)
         first = 0
         for member, m in self.members:
-            if not isinstance(m, Embedded):
+            if not isinstance(m, EmbeddedUnit):
                 names = [n for v in m.declaration.parameters for n in v.names()]
                 for mode in m.declaration.modes:
                     own, i = of_member(member, mode), names.index(mode)
@@ -373,7 +373,7 @@ class NetworkUnit(Unit):
 
 
 def network_unit(
-    network: Network, coupling: Named, whole: Coupled, models: Sequence[Model | Embedded], **options: Any
+    network: Network, coupling: NamedCoupling, whole: Coupled, models: Sequence[Model | EmbeddedUnit], **options: Any
 ) -> NetworkUnit:
     """The unit of a network whose members are coupled as in `whole`; `options`: of `Unit`."""
     joined = {e for j in network.junctions for e in j.ends}
@@ -389,7 +389,7 @@ def network_unit(
         nx=sum(m.step.nx for m in models), na=sum(m.step.na for m in models), nu=sum(m.step.nu for m in models),
         ncomp=sum(m.step.ncomp for m in models), k=1,
     )  # fmt: skip
-    own = [m for m in models if not isinstance(m, Embedded)]
+    own = [m for m in models if not isinstance(m, EmbeddedUnit)]
     order = max((m.scheme.order for m in own), default=coupling.order) if coupling.nodes else coupling.order
     scheme = SimpleNamespace(name=f"{coupling.words} of members", order=order)
     model: Any = SimpleNamespace(
@@ -398,15 +398,15 @@ def network_unit(
     return NetworkUnit(model=model, whole=whole, models=tuple(models), **options)
 
 
-def _stepped_in_c(member: Member) -> Make:
+def _stepped_in_c(member: Member) -> ShareMaker:
     """The share of a member in a unit."""
     native = isinstance(member, EngineMember) and isinstance(member.instance, NativeInstance)
     return NativeShare if native else own_share(member)
 
 
 def coupled_members(
-    network: Network, coupling: Named, schemes: Mapping[str, Scheme], step: float, found: Mapping[str, Rollback]
-) -> tuple[Coupled, list[Model | Embedded]]:
+    network: Network, coupling: NamedCoupling, schemes: Mapping[str, Scheme], step: float, found: Mapping[str, Rollback]
+) -> tuple[Coupled, list[Model | EmbeddedUnit]]:
     """The members of a network, native ones of their schemes and units of other tools, under a coupling, and what they are.
 
     `found`: whether the units take steps of this length back, where the coupling asks that of them.
@@ -415,7 +415,7 @@ def coupled_members(
     from phfmu.discretise.model import build_model
     from phfmu.engine.switched import stepped
     from phfmu.fmu.export.value_groups import telling_constant
-    from phfmu.network.couplings.choice.apart import Apart
+    from phfmu.network.couplings.choice.partitioned_network import PartitionedNetwork
     from phfmu.network.members.engine_member import EngineMember
     from phfmu.network.members.unit_member import unit_member
 
@@ -429,8 +429,10 @@ def coupled_members(
             f"{network.name}: {', '.join(some[:4])} have ideal switches, which only --coupling newton lands on inside a unit; "
             "take that, or export it composed, without --as-unit"
         )
-    separate = network.separate(Apart(network).holding(lambda name: coupling.nodes and schemes[name].node_values))
-    models, members = list[Model | Embedded](), list[Any]()
+    separate = network.separate(
+        PartitionedNetwork(network).holding(lambda name: coupling.nodes and schemes[name].node_values)
+    )
+    models, members = list[Model | EmbeddedUnit](), list[Any]()
     for name, member in network.members.items():
         if isinstance(member, PHDAE):
             model = telling_constant(build_model(separate[name], schemes[name]))
@@ -440,7 +442,7 @@ def coupled_members(
             unit, _ = unit_member(name, member, step, found.get(name))
             assert isinstance(unit, FMUMember)
             members.append(unit)
-            models.append(Embedded(unit, member))
+            models.append(EmbeddedUnit(unit, member))
     try:
         whole = Coupled(network, members, coupling.make)
     except ValueError as error:

@@ -15,19 +15,18 @@ from phfmu.engine.rest_changes import RestChange
 from phfmu.interrupt import Interrupted
 from phfmu.network.couplings.acceptance import HALVED
 from phfmu.network.couplings.coupling import AllSteps, Coupling, Solution, Step, Unconverged, solves_rows
-from phfmu.network.couplings.growth import Growth
+from phfmu.network.couplings.growth import EnergyGrowth, SignalGrowth
+from phfmu.network.couplings.junction_works import JunctionWorks
 from phfmu.network.couplings.landing.landings import landings
 from phfmu.network.couplings.newton import Newton, newton
 from phfmu.network.couplings.signals.agreed_signals import AgreedSignals, SignalsApart
-from phfmu.network.couplings.signals.held_signals import HeldSignals, SignalExchange
-from phfmu.network.couplings.signals.signal_growth import SignalGrowth
-from phfmu.network.couplings.unconverged import Accepting, Halving, in_halves, plain
-from phfmu.network.couplings.works import Works
+from phfmu.network.couplings.signals.sampled_signals import SampledSignals, SignalExchange
+from phfmu.network.couplings.unconverged import AcceptingPolicy, HalvingPolicy, in_halves, plain
 from phfmu.network.impulses.jumps_apart import JumpsApart
-from phfmu.network.interface.end_sums import EndSums
-from phfmu.network.interface.followed import Followed
-from phfmu.network.interface.instant import Instant
-from phfmu.network.interface.joined import Joined
+from phfmu.network.interface.coupled_members import CoupledMembers
+from phfmu.network.interface.instant import InstantSolver
+from phfmu.network.interface.junction_values import JunctionValues
+from phfmu.network.interface.prescribed_inputs import PrescribedInputs
 from phfmu.network.interface.whole_columns import WholeColumns
 from phfmu.network.members.engine_member import EngineMember
 from phfmu.network.members.member import Member
@@ -40,8 +39,8 @@ from phfmu.signals import SignalKind, of_member
 if TYPE_CHECKING:
     from phfmu.discretise.start import Projection
     from phfmu.network.couplings.compiled.master import Master
-    from phfmu.network.couplings.compiled.shares import Make
-    from phfmu.network.couplings.landing.switching import Switching
+    from phfmu.network.couplings.compiled.shares import ShareMaker
+    from phfmu.network.couplings.landing.composed_lander import ComposedLander
     from phfmu.network.couplings.stepper import Landing
     from phfmu.network.members.interpolant import Interpolant
 
@@ -67,7 +66,7 @@ class Coupled:
         self,
         network: Network,
         members: list[Member],
-        coupling: Coupling | Callable[[Joined], Coupling] = newton,
+        coupling: Coupling | Callable[[CoupledMembers], Coupling] = newton,
         threads: int | None = None,
         signals: SignalExchange = "extrapolated",
     ):
@@ -75,10 +74,10 @@ class Coupled:
         self.made_by = coupling
         self._threads, self.instead = threads, network.to_compose
         self._signals_are: SignalExchange = signals
-        self.joined = Joined(network, members)
+        self.joined = CoupledMembers(network, members)
         self.coupling = coupling(self.joined) if callable(coupling) else coupling
         closes = self.coupling.closes and not self.joined.put_off and not self.joined.repeated
-        self._growth = None if closes else Growth(self.joined)
+        self._growth = None if closes else EnergyGrowth(self.joined)
         face, inner = self.joined.face, plain(self.coupling)
         self.last = Solution(face.start.copy())
         self._land_anew()
@@ -86,15 +85,15 @@ class Coupled:
         self._masters: dict[bytes, Master] = {}
         self._mode = b""
         self.solves_rows = solves_rows(inner)
-        self._works = Works(self.joined, self._exchange, self.solves_rows)
+        self._works = JunctionWorks(self.joined, self._exchange, self.solves_rows)
         self.booking = replace(self.joined.booking, loose=not closes, parts=self._works.keys)
         at_nodes = self._exchange.wires if self._exchange else ()
-        self._signals = HeldSignals(self.joined, at_nodes, extrapolated=signals != "held")
+        self._signals = SampledSignals(self.joined, at_nodes, extrapolated=signals != "held")
         can = self.coupling.repeats and not self.joined.put_off and self._signals.any_held
         self._agreed = AgreedSignals(self.joined, self._signals) if signals.startswith("agreed") and can else None
         self._apart = SignalsApart(self._signals)
         self._grown = SignalGrowth(self._signals.held)
-        self._sums = EndSums(self.joined)
+        self._sums = JunctionValues(self.joined)
         self._jumps = JumpsApart(self.joined, self._sums)
         #: steps are to tell the unknowns of the members that engines step
         self.unknowns_told = False
@@ -105,7 +104,7 @@ class Coupled:
         self.names = self._columns.names
 
     def _land_anew(self) -> None:
-        """What lands all members together, which knows of no event yet."""
+        """Make the lander of all members anew, without any event before."""
         steps = AllSteps(self._all_step, lambda: (self.joined.states(), self.last), self._all_back)
         found = landings(self.joined, plain(self.coupling), steps, self._join)
         self._exchange, self._lander, self._switching = found
@@ -121,7 +120,7 @@ class Coupled:
         self.joined.restore(states)
 
     def kept(self) -> tuple[Any, ...]:
-        """Where all are, to which `back` brings them after a step; all members save their states."""
+        """States of members, junction unknowns and signals, for `back`; all members save their states."""
         growth = self._growth and (self._growth.known, self._growth.had)
         return self.joined.states(), self.last, self._signals.state(), growth, self._at_start
 
@@ -144,13 +143,13 @@ class Coupled:
         return self._lander is not None
 
     @property
-    def switching(self) -> Switching | None:
+    def switching(self) -> ComposedLander | None:
         """What all members land as, where that is their composed declaration."""
         return self._switching
 
     @property
     def guards(self) -> int:
-        """How many guards' zeros all members end their steps on together."""
+        """Number of guards on whose zeros all members end their steps together."""
         return 0 if self._lander is None else self._lander.guards
 
     def _join(self) -> None:
@@ -161,12 +160,12 @@ class Coupled:
 
     @property
     def master(self) -> Master:
-        """The compiled steps; StepFailure where the rows of the junctions cannot be solved."""
+        """The compiled steps; raises StepFailure where the rows of the junctions cannot be solved."""
         if self._mode not in self._masters:
             self._masters[self._mode] = self.compiled()
         return self._masters[self._mode]
 
-    def compiled(self, share: Callable[[Member], Make] | None = None) -> Master:
+    def compiled(self, share: Callable[[Member], ShareMaker] | None = None) -> Master:
         """A master of its own; `share`: makes the share of a member, None: as runs have it."""
         from phfmu.network.couplings.compiled.master import master
 
@@ -180,7 +179,7 @@ class Coupled:
     @cached_property
     def samples_inside(self) -> bool:
         """Whether the compiled loop samples the signals: those that are not iterated, where all are held."""
-        return self._signals.all_held and not self._agreed and not isinstance(self.coupling, Halving)
+        return self._signals.all_held and not self._agreed and not isinstance(self.coupling, HalvingPolicy)
 
     @property
     def _one_by_one(self) -> bool:
@@ -229,7 +228,7 @@ class Coupled:
     def followed(self, data: Interpolant | None) -> None:
         if data and self._switching:
             raise ValueError(self._switching.held_only)
-        self.joined.followed = Followed(data, self.free_inputs) if data else None
+        self.joined.followed = PrescribedInputs(data, self.free_inputs) if data else None
 
     @property
     def unwritten(self) -> list[str]:
@@ -319,7 +318,7 @@ class Coupled:
             self._at_start = self.last.xi
             return
         if not self.solves_rows and (self.master.calls or self.joined.put_off):
-            self.last = Solution(Instant().solve(self.joined, self.last.xi, t0))
+            self.last = Solution(InstantSolver().solve(self.joined, self.last.xi, t0))
             self.joined.begin(self.last.xi)
             return
         try:
@@ -342,7 +341,7 @@ class Coupled:
         found = self.master.prepare(self.last.xi, t0, h, self.from_short_steps)
         if found is None:
             assert self.master.refusal is not None
-            if not isinstance(self.coupling, Halving):
+            if not isinstance(self.coupling, HalvingPolicy):
                 raise self._told(self.master.refusal, h)
             states = self.joined.states()
             try:
@@ -353,7 +352,7 @@ class Coupled:
         if self._sums.hide or not self.master.calls:
             return found
         try:
-            return found[0], Instant().solve(self.joined, found[0], t0)
+            return found[0], InstantSolver().solve(self.joined, found[0], t0)
         except (StepFailure, ValueError):  # outputs do not follow all of them
             return found
 
@@ -369,7 +368,7 @@ class Coupled:
             self._agreed.at_instant(self.last.xi)
 
     def _told(self, failure: BaseException, h: float) -> BaseException:
-        """Of an iteration that is given up, units that do not repeat a step are told."""
+        """Return the failure; that of an iteration which is given up names the units that do not repeat a step."""
         if isinstance(failure, Unconverged) and not failure.signals:
             failure.unsteady = self.joined.unsteady(h)
         return failure
@@ -385,7 +384,7 @@ class Coupled:
     def _taken(self, last: Solution, t: float, h: float) -> tuple[Steps, Solution]:
         """The same; in halves where it does not converge and that was asked for."""
         self._sums.find(last.xi)
-        if not isinstance(self.coupling, Halving):
+        if not isinstance(self.coupling, HalvingPolicy):
             return self._one(last, t, h)
         return in_halves(self._one, self.joined.finish, last, t, h)
 
@@ -430,9 +429,9 @@ class Coupled:
             raise EndRequested(names, t, 0.0, t)
 
     def _many(self, grid: tuple[float, float, int], n: int) -> Steps | None:
-        """As many of n steps as are accepted, and do not run away, without returning to Python; None of none.
+        """Take up to n steps without returning to Python, as far as they are accepted and do not run away; None if none is.
 
-        `_ended_by`: why the next one is not taken, if it is refused for good.
+        `_ended_by`: the failure of the step behind them, if it is refused for good.
         """
         self._sums.find(self.last.xi)
         last, states, samples = self.last, self.joined.states() if self._growth else None, self._signals.state()
@@ -442,7 +441,7 @@ class Coupled:
             self.joined.restore(states)
             self._signals.restore(samples)
             steps, self.last = self.master.advance(last, self._sums, grid, fine)
-        if self.master.refusal and not self.master.passing and not isinstance(self.coupling, Halving):
+        if self.master.refusal and not self.master.passing and not isinstance(self.coupling, HalvingPolicy):
             self._ended_by = self._told(self.master.refusal, grid[1])
         self._watch_signals(grid, len(steps.H))
         return self._rows(steps) if len(steps.H) else None
@@ -494,7 +493,7 @@ class Coupled:
             raise
 
     def land(self, t0: float, h: float, n: int, first: int = 0, changed: bool = True) -> Iterator[Landing]:
-        """As of `Monolithic`; for members of order 2k whose steps all end where a guard of one of them is zero."""
+        """Steps and events, as `Monolithic.land` yields them, of members whose steps all end on the zeros of guards."""
         return self._landed(Grid(t0, h, n, first), changed)
 
     def _landed(self, grid: Grid, changed: bool) -> Iterator[Landing]:
@@ -562,9 +561,9 @@ class Coupled:
     def companion(self, scheme: Scheme) -> Coupled:
         """The same members under another scheme, with as many values per junction variable as that takes."""
         members: list[Member] = [m.companion(scheme) for m in self.joined.members if isinstance(m, EngineMember)]
-        around = type(self.coupling) if isinstance(self.coupling, Halving | Accepting) else None
+        around = type(self.coupling) if isinstance(self.coupling, HalvingPolicy | AcceptingPolicy) else None
 
-        def coupling(joined: Joined) -> Coupling:
+        def coupling(joined: CoupledMembers) -> Coupling:
             return newton(joined) if around is None else around(newton(joined))
 
         found = Coupled(self.joined.network, members, coupling, self._threads, self._signals_are)
@@ -593,6 +592,6 @@ class Coupled:
         return instance._landed(grid, changed)
 
     def _unknowns(self) -> Array:
-        """Of the last steps of the members that engines step."""
+        """Unknowns of the last steps of the members that engines step."""
         engines = (m for m in self.joined.members if isinstance(m, EngineMember))
         return np.concatenate([m.instance.unknowns for m in engines])

@@ -13,7 +13,7 @@ from typing import Any, Protocol, runtime_checkable
 
 from numpy.typing import NDArray
 
-from phfmu.network.interface.joined import Joined
+from phfmu.network.interface.coupled_members import CoupledMembers
 from phfmu.outcome.status import StepFailure
 
 Array = NDArray[Any]
@@ -79,7 +79,7 @@ class Coupling(Protocol):
 class Starts(Protocol):
     """A coupling with a rule for where a step starts from; without it that is where the step before ended."""
 
-    def started(self, joined: Joined, xi: Array, r: Array) -> Array:
+    def started(self, joined: CoupledMembers, xi: Array, r: Array) -> Array:
         """Junction unknowns of the first trial; xi, r: those of the step before and the rows that it left, r = P^T Y + C xi."""
         ...
 
@@ -90,7 +90,7 @@ class InTurn(Protocol):
 
     repeats: bool
 
-    def groups(self, joined: Joined) -> list[list[int]]:
+    def groups(self, joined: CoupledMembers) -> list[list[int]]:
         """Places of members among all: those that step at once, in the order in which they step; each of them once in a sweep.
         Further sweeps, of a coupling that repeats steps, take all members from where the step began."""
         ...
@@ -111,6 +111,6 @@ class Moves(Protocol):
     It iterates, at most `iterations` times a step, or takes each step `sweeps` times, the last of which is the step.
     """
 
-    def moved(self, joined: Joined, xi: Array, r: Array) -> Array:
+    def moved(self, joined: CoupledMembers, xi: Array, r: Array) -> Array:
         """Junction unknowns of the next trial; xi, r: those of the last one and the rows that it left; members are at its end."""
         ...

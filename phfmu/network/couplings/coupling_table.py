@@ -20,7 +20,7 @@ class CouplingRow:
     order, needs: in words, what the run keeps of the order of its members, and what it asks of them
     where:        its class, imported when asked for; it tells order, repeats and closes (`coupling.Coupling`)
     held:         why members that exchange one value a step keep no more than its order
-    at_nodes:     what makes it of `Joined` members that exchange the values at the nodes of steps, if it can
+    at_nodes:     what makes it of `CoupledMembers` that exchange the values at the nodes of steps, if it can
     in_turn:      whether members step one after the other: its class has `sequence_of` and takes the sequence
     apart:        False for what steps one composed model
     """

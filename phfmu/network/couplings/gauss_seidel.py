@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from phfmu.network.interface.joined import Joined
+from phfmu.network.interface.coupled_members import CoupledMembers
 from phfmu.network.network import Network
 from phfmu.words import meant
 
@@ -23,11 +23,11 @@ class GaussSeidel:
 
     @staticmethod
     def sequence_of(network: Network, sequence: Sequence[str] | None) -> tuple[str, ...]:
-        """The sequence that was asked for, or the usual one; ValueError if it is not one of the members."""
+        """The sequence that was asked for, or the usual one; raises ValueError if it is not one of the members."""
         return usual_sequence(network) if sequence is None else complete(sequence, network)
 
-    def groups(self, joined: Joined) -> list[list[int]]:
-        """Places of members among all, in the order in which they step; ValueError if the sequence is not one of the members."""
+    def groups(self, joined: CoupledMembers) -> list[list[int]]:
+        """Places of members among all, in the order in which they step; raises ValueError if the sequence is not theirs."""
         at = {m.name: i for i, m in enumerate(joined.members)}
         return [[at[name]] for name in self.sequence_of(joined.network, self._sequence)]
 
@@ -42,7 +42,7 @@ def usual_sequence(network: Network) -> tuple[str, ...]:
 
 
 def complete(sequence: Sequence[str], network: Network) -> tuple[str, ...]:
-    """The sequence, if it has each member of the network once; ValueError."""
+    """The sequence, if it has each member of the network once; raises ValueError else."""
     for name in sequence:
         if name not in network.members:
             raise ValueError(f"{network.name} has no member '{name}'; {meant(name, network.members)}")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from phfmu.network.interface.joined import Joined
+from phfmu.network.interface.coupled_members import CoupledMembers
 
 
 class Jacobi:
@@ -10,6 +10,6 @@ class Jacobi:
 
     order, repeats, closes = 1, False, False
 
-    def groups(self, joined: Joined) -> list[list[int]]:
+    def groups(self, joined: CoupledMembers) -> list[list[int]]:
         """All step at once."""
         return [[*range(len(joined.members))]]

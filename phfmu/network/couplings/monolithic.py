@@ -18,12 +18,12 @@ from phfmu.engine.rest_changes import RestChange
 from phfmu.engine.switched import stepped
 from phfmu.network.couplings.stepper import Landing
 from phfmu.network.impulses.projections import Projections
-from phfmu.network.members.columns import Columns, booking
+from phfmu.network.members.columns import SignalColumns, booking
 from phfmu.network.members.consistent import require_consistent
-from phfmu.network.members.happenings import Happenings
+from phfmu.network.members.event_texts import EventTexts
 from phfmu.network.members.inputs import Inputs
 from phfmu.outcome.status import StepFailure
-from phfmu.outcome.steps import LEDGER, Happened, Landed, StepEvent, Steps
+from phfmu.outcome.steps import LEDGER, EventRecord, Landed, StepEvent, Steps
 from phfmu.schemes.scheme import Scheme
 from phfmu.signals import SignalKind, labels
 
@@ -66,7 +66,7 @@ class Monolithic:
         held = self._constants.booked(instance.parameters)
         self.booking = replace(booking(model, held), parts=self._projections.keys)
         self._inputs = Inputs(instance, model)
-        self._columns = Columns(model, instance.layout)
+        self._columns = SignalColumns(model, instance.layout)
         self.names = self._columns.names
         #: makes rows within the steps, if asked for: (instance, row before, record, starts, sizes) -> (n x rows x width)
         self.between: Between | None = None
@@ -131,7 +131,7 @@ class Monolithic:
         raise KeyError(d.unknown_name(name))
 
     def _rebook(self) -> None:
-        """What is constant in H may follow a parameter that was set."""
+        """Book anew the constants in H, which may follow a parameter that was set."""
         if (held := self._constants.booked(self.instance.parameters)) != self.booking.constants:
             self.booking = replace(self.booking, constants=held)
 
@@ -224,8 +224,8 @@ class Monolithic:
         return np.zeros(0) if self.between is None else instance.row()
 
     def landings(self, instance: Any, before: Array, parts: Iterable[Landed]) -> Iterator[Landing]:
-        """What the instance has landed, in the columns of a run; `before`: its row at the start."""
-        words = Happenings(self.model)
+        """Steps and events of a landing of the instance, in the columns of a run; `before`: its row at the start."""
+        words = EventTexts(self.model)
         for part in parts:
             steps, happened = None, part.happened
             if part.rows:
@@ -234,7 +234,7 @@ class Monolithic:
             before = before if happened is None else happened.signals
             yield part.t, part.h, steps, row
 
-    def _told(self, words: Happenings, happened: Happened) -> StepEvent:
+    def _told(self, words: EventTexts, happened: EventRecord) -> StepEvent:
         told = words.told(happened)
         return replace(told, energy=self._by_component(told.energy), lost=self._by_component(told.lost))
 
@@ -245,7 +245,7 @@ class Monolithic:
 
     @property
     def guards(self) -> int:
-        """How many zeros its steps end on."""
+        """Number of guards on whose zeros steps end."""
         return 0 if self.model.events is None else self.model.events.n
 
     @property

@@ -23,15 +23,15 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from phfmu.network.interface.exchange import Exchange
-from phfmu.network.interface.joined import Joined
+from phfmu.network.interface.coupled_members import CoupledMembers
+from phfmu.network.interface.unknowns import InterfaceUnknowns
 
 Array = NDArray[Any]
 
 
 @dataclass(frozen=True)
 class Continuation:
-    """What the next step of the same length starts from.
+    """Start of the iteration of the next step of the same length.
 
     found:   unknowns of the step, as the master has them: xi at the nodes, impulses at the start and at the end
     missed:  what the continuation of the step before missed of it, that one's of the step before, and so on, as far as known
@@ -42,22 +42,22 @@ class Continuation:
 
 
 class Newton:
-    """As many values per junction variable and step as the members take: the whole has their order.
+    """Newton's method on the interface residual, with as many values per junction variable as members take: the order is theirs.
 
-    `exchange`: of node values; None: one value per junction variable, held, so that the whole is of order 2.
+    `exchange`: unknowns at nodes; None: one held value per junction variable, so that the whole is of order 2.
     """
 
     repeats, closes = True, True
     #: of held values
     order = 2
 
-    def __init__(self, exchange: Exchange | None = None):
+    def __init__(self, exchange: InterfaceUnknowns | None = None):
         self.exchange = exchange
         if exchange is not None:
             self.order = 2 * int(exchange.counts.min(initial=exchange.counts.max(initial=1)))
 
 
-def newton(joined: Joined) -> Newton:
+def newton(joined: CoupledMembers) -> Newton:
     """The coupling with the most that the members offer, which may be one held value each."""
-    exchange = Exchange(joined)
+    exchange = InterfaceUnknowns(joined)
     return Newton() if exchange.held and not exchange.whole else Newton(exchange)

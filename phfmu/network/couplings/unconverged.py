@@ -1,6 +1,6 @@
 """Policies where a coupling gives up its iteration: refuse the step, halve it, or keep the best trial and tell.
 
-`Halving` and `Accepting` say so of a coupling, which is `inner`.
+`HalvingPolicy` and `AcceptingPolicy` say so of a coupling, which is `inner`.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ HALVINGS = 10  # times that a step is halved
 Take = Callable[[Solution, float, float], tuple[Steps, Solution]]
 
 
-class Accepting:
+class AcceptingPolicy:
     """Keeps the trial that left the least; what it leaves is booked at the junctions, which then count as loose."""
 
     closes = False
@@ -30,7 +30,7 @@ class Accepting:
         self.inner, self.order, self.repeats = inner, inner.order, inner.repeats
 
 
-class Halving:
+class HalvingPolicy:
     """Takes a step that does not converge in halves, and these again; members exchange new values in each."""
 
     def __init__(self, inner: Coupling):
@@ -42,7 +42,7 @@ def in_halves(
 ) -> tuple[Steps, Solution]:
     """A step by `take`, which leaves all members where they are when it fails; else its halves, booked as one step.
 
-    `finish`: ends the first half for good.  StepFailure of a part that is h / 2^10 long.
+    `finish`: ends the first half for good.  Raises StepFailure of a part that is h / 2^10 long.
     """
     try:
         return take(last, t, h)
@@ -69,8 +69,12 @@ def _as_one(one: Steps, two: Steps) -> Steps:
 
 def plain(coupling: Coupling) -> Coupling:
     """The coupling itself, without what is done where it gives up."""
-    return coupling.inner if isinstance(coupling, Halving | Accepting) else coupling
+    return coupling.inner if isinstance(coupling, HalvingPolicy | AcceptingPolicy) else coupling
 
 
 #: by the names users know
-POLICIES: dict[str, Callable[[Coupling], Coupling]] = {"raise": lambda c: c, "halve": Halving, "accept": Accepting}
+POLICIES: dict[str, Callable[[Coupling], Coupling]] = {
+    "raise": lambda c: c,
+    "halve": HalvingPolicy,
+    "accept": AcceptingPolicy,
+}

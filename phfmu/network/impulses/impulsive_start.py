@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 
 from phfmu.discretise.start import Projection
 from phfmu.network.interface.bare_columns import clusters
-from phfmu.network.interface.exchange import Exchange
+from phfmu.network.interface.coupled_members import CoupledMembers
 from phfmu.network.interface.impulse_directions import directions
-from phfmu.network.interface.joined import Joined
 from phfmu.network.interface.matrices import summed
+from phfmu.network.interface.unknowns import InterfaceUnknowns
 from phfmu.network.members.node_values import InstanceNodes
 from phfmu.signals import of_member
 from phfmu.terms.bare import SINGULAR
@@ -38,7 +38,7 @@ MOST, SHRINKING = 12, 0.5  # trials; sums that shrink to more than this part of 
 
 
 @dataclass(frozen=True)
-class Moved:
+class ImpulseTarget:
     """A member that impulses act on; to: its impulses by those of a that reach it (at)."""
 
     member: EngineMember | FMUMember
@@ -47,12 +47,12 @@ class Moved:
     to: Array
 
 
-def project_start(joined: Joined, t: float, kept: Sequence[str]) -> Projection:
+def project_start(joined: CoupledMembers, t: float, kept: Sequence[str]) -> Projection:
     """Moves the members; what has moved.
 
     Members know their own constraints only: ValueError tells what to do where no junction can do that, and of `kept` states.
     """
-    exchange, network = Exchange(joined), joined.network
+    exchange, network = InterfaceUnknowns(joined), joined.network
     kicked = [
         s.place.start + np.array(s.values.offer.kicked, int) for s in exchange.shares if s.values.offer is not None
     ]
@@ -71,7 +71,7 @@ def project_start(joined: Joined, t: float, kept: Sequence[str]) -> Projection:
     raise ValueError(f"{network.name}: a coupled network cannot be projected at t = {t:g} s: {reason}; {remedy}")
 
 
-def _project(exchange: Exchange, names: list[str], B: Any, t: float) -> Projection:
+def _project(exchange: InterfaceUnknowns, names: list[str], B: Any, t: float) -> Projection:
     """By a, more than once where S changes along it."""
     joined = exchange.joined
 
@@ -96,10 +96,10 @@ def _project(exchange: Exchange, names: list[str], B: Any, t: float) -> Projecti
     return Projection(np.zeros(0), tuple(changes), before, after, float((joined.energies() - H).sum()))
 
 
-def _moved(exchange: Exchange, B: Any) -> Iterator[Moved]:
+def _moved(exchange: InterfaceUnknowns, B: Any) -> Iterator[ImpulseTarget]:
     for i, s in enumerate(exchange.shares):
         own, P = exchange.joined.reach(i)
         part = B[own]
         at = np.unique(part.indices)
         if isinstance(s.values, InstanceNodes) and s.values.offer is not None and len(at):
-            yield Moved(s.values.member, s.values, at, (P @ part[:, at].toarray())[s.values.offer.kicked])
+            yield ImpulseTarget(s.values.member, s.values, at, (P @ part[:, at].toarray())[s.values.offer.kicked])

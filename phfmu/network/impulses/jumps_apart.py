@@ -9,8 +9,8 @@ import numpy as np
 
 from phfmu.engine.landing.event_jump import Guards
 from phfmu.engine.reference.python import PythonInstance
-from phfmu.network.interface.end_sums import EndSums
-from phfmu.network.interface.joined import Joined
+from phfmu.network.interface.coupled_members import CoupledMembers
+from phfmu.network.interface.junction_values import JunctionValues
 from phfmu.network.members.engine_member import EngineMember
 from phfmu.outcome.status import ACROSS, EventRefused
 
@@ -21,7 +21,7 @@ ROUNDING = 1e-12
 class JumpsApart:
     """The part of the members' jumps that others share: velocities of rigid links, currents of nodes where inductors meet."""
 
-    def __init__(self, joined: Joined, sums: EndSums):
+    def __init__(self, joined: CoupledMembers, sums: JunctionValues):
         self._joined, self._sums = joined, sums
         self._jumping = [
             m for m in joined.members if isinstance(m, EngineMember) and m.model.events is not None and _jumps(m.model)

@@ -36,7 +36,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Share:
+class ProjectionLosses:
     """The share of one member: W (rows) of its states x1, parameters p, shifts s and impulses m, their places, and its parts."""
 
     work: ca.Function
@@ -74,7 +74,7 @@ class Projections:
         return out
 
     @cached_property
-    def _found(self) -> tuple[tuple[PartKey, ...], list[Share]]:
+    def _found(self) -> tuple[tuple[PartKey, ...], list[ProjectionLosses]]:
         d, scheme = self._model.declaration, self._model.scheme
         if not d.junctions or not _projects(self._model.step):
             return (), []
@@ -100,7 +100,7 @@ def _rows(term: Term) -> Iterator[int]:
     return (r.index for r in term.rows if r.kind is Row.EQUATION)
 
 
-def _share(term: Term, layout: Layout, part: list[int]) -> Share:
+def _share(term: Term, layout: Layout, part: list[int]) -> ProjectionLosses:
     states = [r.index for r in term.rows if r.kind is Row.BALANCE]
     x, p = term.symbols(Value.STATE), term.symbols(Value.PARAMETER)
     s, m = ca.SX.sym("s", len(states)), ca.SX.sym("m", len(part))
@@ -110,7 +110,7 @@ def _share(term: Term, layout: Layout, part: list[int]) -> Share:
         return ca.substitute(term.data["c"], x, x - (1.0 - t) * shift)
 
     work = -m * sum(float(w) * c(float(t)) for t, w in zip(*gauss(WORK_POINTS), strict=True))
-    return Share(
+    return ProjectionLosses(
         ca.Function("work", [x, p, s, m], [work]), list(term.indices(Value.STATE)), list(term.indices(Value.PARAMETER)),
         [layout.at(END_SHIFT, i, 0) for i in states], [layout.at(ROOT, r, 0) for r in _rows(term)], part,
     )  # fmt: skip

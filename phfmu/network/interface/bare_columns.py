@@ -29,7 +29,7 @@ Ints = NDArray[np.intp]
 
 
 @dataclass(frozen=True)
-class Bare:
+class BareColumns:
     """columns: those with impulses;  why: bare junction without -> the reason ("": its sum is linear and stays at its start).
 
     offered: columns of all junctions whose ports take impulses.
@@ -40,7 +40,7 @@ class Bare:
     offered: tuple[int, ...] = ()
 
 
-def bare(network: Network, face: Interface, inputs: Sequence[slice], offers: Sequence[Offer | None]) -> Bare:
+def bare(network: Network, face: Interface, inputs: Sequence[slice], offers: Sequence[Offer | None]) -> BareColumns:
     """`inputs`: where those of each member are among all."""
     by_name = {o.name: o for o in offers if o is not None}
     refused: dict[str, str] = {}
@@ -62,8 +62,8 @@ def bare(network: Network, face: Interface, inputs: Sequence[slice], offers: Seq
         ]
         refused[j.name] = "; ".join(odd)
     if all(linear.values()):  # the common case, which needs no matrix
-        return Bare((), dict.fromkeys(linear, ""), tuple(columns))
-    kicked = Kicked(face, columns)
+        return BareColumns((), dict.fromkeys(linear, ""), tuple(columns))
+    kicked = ImpulseIncidence(face, columns)
     reached = [(kicked.at(o, p), o) for o, p in zip(offers, inputs, strict=True) if o is not None]
     S = kicked.inductance((own, o.jump()) for own, o in reached if (own >= 0).any())
     at = {c: name for name in linear for c in range(face.sums[name].start, face.sums[name].stop)}
@@ -77,10 +77,10 @@ def bare(network: Network, face: Interface, inputs: Sequence[slice], offers: Seq
             taken += [columns[i] for i in part]
         else:
             why |= dict.fromkeys(names, reason)
-    return Bare(tuple(sorted(taken)), why, tuple(columns))
+    return BareColumns(tuple(sorted(taken)), why, tuple(columns))
 
 
-class Kicked:
+class ImpulseIncidence:
     """Some columns of an interface, as those of impulses."""
 
     def __init__(self, face: Interface, columns: Sequence[int]):
@@ -98,7 +98,7 @@ class Kicked:
         return summed(self.n, ((at[mine], at[mine], S[np.ix_(mine, mine)]) for at, mine, S in own))
 
 
-def clusters(S: csr_array) -> list[Ints]:
+def clusters(S: csr_array | coo_array) -> list[Ints]:
     """The columns that S couples, in order."""
     count, label = connected_components(S, directed=False)
     order = np.argsort(label, kind="stable")
@@ -117,12 +117,10 @@ class Clusters:
         rows = np.concatenate([np.full(len(p), p[0]) for p in pairs] or [np.zeros(0, int)])
         columns = np.concatenate([*pairs, np.zeros(0, int)])
         graph = coo_array((np.ones(len(rows)), (rows, columns)), shape=(n, n))
-        count, label = connected_components(graph, directed=False) if n else (0, np.zeros(0, int))
-        order = np.argsort(label, kind="stable")
-        self.of = np.split(order, np.searchsorted(label[order], np.arange(1, count))) if n else []
-        self._label, self._place = label, np.zeros(n, int)
-        for own in self.of:
-            self._place[own] = np.arange(len(own))
+        self.of = clusters(graph) if n else []
+        self._label, self._place = np.zeros((2, n), int)
+        for i, own in enumerate(self.of):
+            self._label[own], self._place[own] = i, np.arange(len(own))
 
     def blank(self) -> list[Array]:
         """S = 0."""

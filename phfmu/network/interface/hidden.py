@@ -30,7 +30,7 @@ REGULAR = 1e-6  # a block with a larger inverse condition number (1-norm, estima
 
 
 @dataclass(frozen=True)
-class Parted:
+class RankDecomposition:
     """The rows r of junctions at one instant, M xi = -r, parted.
 
     hidden:  projector Q: Q r is what no xi can change (n x n)
@@ -50,10 +50,10 @@ class Parted:
 
 def hidden_part(M: Any, nominal: Array) -> csr_array:
     """Projector Q: Q r is the part of the junction rows r that no xi can change (n x n).  M: array or sparse."""
-    return parted(M, nominal).hidden
+    return rank_decomposition(M, nominal).hidden
 
 
-def parted(M: Any, nominal: Array) -> Parted:
+def rank_decomposition(M: Any, nominal: Array) -> RankDecomposition:
     """M: array or sparse (n x n);  nominal: of the junction unknowns xi."""
     n = len(nominal)
     entries: Any = coo_array(M)
@@ -73,7 +73,7 @@ def parted(M: Any, nominal: Array) -> Parted:
         if N.shape[1]:
             hidden.append((own, own, (N @ N.T) * d[own] / d[own, None]))
         small.append((its, own, inverse * d[own] * nominal[its, None]))
-    return Parted(_assembled(n, hidden), _assembled(n, small), large)
+    return RankDecomposition(_assembled(n, hidden), _assembled(n, small), large)
 
 
 def _solver(factors: Any, d: Array, nominal: Array) -> Callable[[Array], Array]:

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from phfmu.network.interface.coupled_members import CoupledMembers
 from phfmu.network.interface.hidden import hidden_part
-from phfmu.network.interface.joined import Joined
 from phfmu.network.interface.matrices import update
 from phfmu.outcome.limits import defined
 from phfmu.outcome.status import Status, StepFailure
@@ -27,13 +27,13 @@ SOLVED, STALLED, SHRINKING = (_NUMBERS[f"INSTANT_{n}"] for n in ("SOLVED", "STAL
 ITERATIONS = int(_NUMBERS["INSTANT_ITERATIONS"])
 
 
-class Instant:
+class InstantSolver:
     """Solves these equations again and again; the matrix is kept while it contracts."""
 
     def __init__(self) -> None:
         self._matrix: Any = None
 
-    def solve(self, joined: Joined, xi: Array, t: float) -> Array:
+    def solve(self, joined: CoupledMembers, xi: Array, t: float) -> Array:
         """xi at the present states, which the members have as inputs then.
 
         ValueError names the unknowns that no output determines; StepFailure where the iteration does not converge.
@@ -56,7 +56,7 @@ class Instant:
         )  # fmt: skip
 
 
-def regular(joined: Joined, matrix: Any) -> Any:
+def regular(joined: CoupledMembers, matrix: Any) -> Any:
     """The matrix of the unknowns at an instant; ValueError names those that no output determines."""
     free = abs(hidden_part(matrix.T, 1.0 / joined.face.nominal)).max(axis=1).toarray().ravel()
     names = [n for n, f in zip(joined.face.names, free, strict=True) if f > 1e-6]

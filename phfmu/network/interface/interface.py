@@ -64,6 +64,12 @@ class Interface:
         """The size that a row is measured by where all of its terms are zero (n)."""
         return np.maximum(abs(self.C) @ self.nominal, 1e-3)
 
+    @cached_property
+    def junction_of(self) -> list[str]:
+        """Junction of each unknown (n)."""
+        starts = [s.start for s in self.sums.values()] + [len(self.names)]
+        return [n for n, a, b in zip(self.sums, starts[:-1], starts[1:], strict=True) for _ in range(a, b)]
+
     def commons(self) -> list[int]:
         """Rows of the common variables."""
         return [i for s in self.sums.values() for i in range(s.start, s.stop)]

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from phfmu.engine.landing.event_jump import Laws, struck
 from phfmu.engine.port_jumps import JumpKernel
 from phfmu.events.event_plan import EventPlan
-from phfmu.events.impulse import Columns
+from phfmu.events.impulse import ImpulseColumns
 from phfmu.network.members.engine_member import EngineMember
 from phfmu.network.members.node_values import Offer
 from phfmu.outcome.status import EventRefused
@@ -32,7 +32,7 @@ Array = NDArray[Any]
 
 
 @dataclass(frozen=True)
-class Fired:
+class FiredEvents:
     """Events of a model with the plan `plan` that happen now: parameters after them, and which of them come to rest."""
 
     plan: EventPlan
@@ -56,15 +56,15 @@ class Fired:
 class Party(Protocol):
     """A member with [jumps that fired | ports | constraints]; components: those of the member with energy in play."""
 
-    fired: Fired | None
+    fired: FiredEvents | None
 
     @property
     def components(self) -> Sequence[int]: ...
-    def columns(self) -> Columns:
-        """As they are now."""
+    def columns(self) -> ImpulseColumns:
+        """Columns of the member in its present state."""
         ...
 
-    def move(self, at: Columns, m: Array) -> None: ...
+    def move(self, at: ImpulseColumns, m: Array) -> None: ...
     def place(self, t: float) -> None:
         """Gives the member its states."""
         ...
@@ -73,15 +73,15 @@ class Party(Protocol):
 class EngineParty:
     """A member of an engine, with the events that have fired there."""
 
-    def __init__(self, member: EngineMember, kernel: JumpKernel, fired: Fired | None):
+    def __init__(self, member: EngineMember, kernel: JumpKernel, fired: FiredEvents | None):
         self.components, self.fired = kernel.components, fired
         self._member, self._kernel, self._which = member, kernel, fired.jumps if fired else []
         self._x, self._p = member.instance.x.copy(), fired.p if fired else member.instance.parameters
 
-    def columns(self) -> Columns:
+    def columns(self) -> ImpulseColumns:
         return self._kernel.columns(self._x, self._p).chosen(self._which)
 
-    def move(self, at: Columns, m: Array) -> None:
+    def move(self, at: ImpulseColumns, m: Array) -> None:
         self._x[list(self._kernel.moved)] += at.L @ m
 
     def place(self, t: float) -> None:
@@ -94,17 +94,17 @@ class UnitParty:
     """A unit that takes impulses; `ports`: places of those that are told, among those it takes (kicked: their outputs)."""
 
     components: Sequence[int] = (0,)
-    fired: Fired | None = None
+    fired: FiredEvents | None = None
 
     def __init__(self, member: FMUMember, offer: Offer, ports: list[int]):
         self._member, self._offer, self._ports = member, offer, ports
 
-    def columns(self) -> Columns:
+    def columns(self) -> ImpulseColumns:
         y = self._member.end_output()[self._offer.kicked][self._ports]
         S = self._offer.jump()[np.ix_(self._ports, self._ports)]
-        return Columns(np.zeros((0, len(y))), y[None], S, np.zeros(0))
+        return ImpulseColumns(np.zeros((0, len(y))), y[None], S, np.zeros(0))
 
-    def move(self, at: Columns, m: Array) -> None:
+    def move(self, at: ImpulseColumns, m: Array) -> None:
         s = np.zeros(len(self._offer.kicked))
         s[self._ports] = m
         self._member.shift(s, 0.0)
@@ -114,17 +114,17 @@ class UnitParty:
 
 
 @dataclass(frozen=True)
-class Place:
+class PartyPlace:
     """The place of a party: its ports by the impulses a between members (ports x a), and its first component among all."""
 
     at: Array
     component: int
 
 
-class Joint:
+class ImpulseSystem:
     """The columns of all, in the order jumps of all, a, constraints of all; energies of all `components` (rows of c)."""
 
-    def __init__(self, parties: Sequence[Party], places: Sequence[Place]):
+    def __init__(self, parties: Sequence[Party], places: Sequence[PartyPlace]):
         self._parties, self._maps = parties, list[Array]()
         first = [p.columns() for p in parties]
         jumps = [len(c.e) for c in first]
@@ -149,13 +149,13 @@ class Joint:
             [*jumping, *[started.plan.owner[started.events[0]] + at] * (self._n - len(jumping))], int
         )
 
-    def columns(self) -> Columns:
+    def columns(self) -> ImpulseColumns:
         found = [p.columns() for p in self._parties]
         S = sum((T.T @ c.S @ T for c, T in zip(found, self._maps, strict=True)), np.zeros((self._n, self._n)))
         c = np.vstack([c.c @ T for c, T in zip(found, self._maps, strict=True)])
-        return Columns(np.zeros((0, self._n)), c, S, np.concatenate([c.e for c in found]))
+        return ImpulseColumns(np.zeros((0, self._n)), c, S, np.concatenate([c.e for c in found]))
 
-    def move(self, _: Columns, m: Array) -> None:
+    def move(self, _: ImpulseColumns, m: Array) -> None:
         for p, T in zip(self._parties, self._maps, strict=True):
             p.move(p.columns(), T @ m)
 

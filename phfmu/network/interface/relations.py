@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array
 
 from phfmu.declare.phdae import PHDAE
-from phfmu.events.switch_system import Undetermined
-from phfmu.network.interface.joined import Joined
+from phfmu.events.switch_system import UndeterminedDirection
+from phfmu.network.interface.coupled_members import CoupledMembers
 from phfmu.network.interface.shared_jumps import SharedJumps
 from phfmu.network.members.engine_member import EngineMember
 from phfmu.network.members.node_values import DeclaredOffer
@@ -23,11 +23,11 @@ Array = NDArray[np.float64]
 Ints = NDArray[np.intp]
 
 
-def all_together(joined: Joined, shared: SharedJumps) -> bool:
+def all_together(joined: CoupledMembers, shared: SharedJumps) -> bool:
     """Whether members land with all others by the events of the composed declaration: some have ideal switches, or guards that
     read what others give, in steps of order 4 and 6 or beside jumps that act on others.
 
-    Their members that are nothing but switches are made relations then.  ValueError where that is the only way, and is barred.
+    Their members that are nothing but switches are made relations then.  Raises ValueError where that is needed and barred.
     """
     switched = [m for m in joined.members if isinstance(m, EngineMember) and m.model.modes is not None]
     reading = any(isinstance(m, EngineMember) and _reads(m, shared) for m in joined.members)
@@ -52,7 +52,7 @@ def _reads(m: EngineMember, shared: SharedJumps) -> bool:
     return m.model.events is not None and not m.guards_states and (m.model.step.k > 1 or m.name in shared.of)
 
 
-def _barred(joined: Joined) -> str:
+def _barred(joined: CoupledMembers) -> str:
     """Why the events of all members are not looked at as one; "" if they are."""
     members = joined.members
     if joined.network.wires:
@@ -83,7 +83,7 @@ def bent(network: Network, declared: Mapping[str, PHDAE]) -> str:
 class Relations:
     """Columns of the unknowns of relations, from column `first` on, after those of junctions and signals."""
 
-    def __init__(self, joined: Joined, first: int):
+    def __init__(self, joined: CoupledMembers, first: int):
         self._joined, self.first = joined, first
         self._own: list[tuple[int, RelationInstance, Ints]] = []
         at = first
@@ -94,7 +94,7 @@ class Relations:
                 at += n
         self._n = at
         #: directions that no row determines in the present modes, with their columns
-        self.undetermined: list[Undetermined] = []
+        self.undetermined: list[UndeterminedDirection] = []
 
     @property
     def names(self) -> list[str]:

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from phfmu.declare.error import DeclarationError
 from phfmu.engine.port_jumps import JumpKernel, jump_kernel
+from phfmu.network.interface.coupled_members import CoupledMembers
 from phfmu.network.interface.impulse_directions import directions
-from phfmu.network.interface.joined import Joined
-from phfmu.network.interface.joint_impulse import EngineParty, Fired, Joint, Party, Place, UnitParty
+from phfmu.network.interface.joint_impulse import EngineParty, FiredEvents, ImpulseSystem, Party, PartyPlace, UnitParty
 from phfmu.network.members.engine_member import EngineMember
 from phfmu.network.members.member import Member
 from phfmu.network.members.node_values import InstanceNodes, Offer, node_values
@@ -32,7 +32,7 @@ Array = NDArray[Any]
 class SharedJumps:
     """Shared jumps of the members of `joined`; nothing is made for networks without jumps."""
 
-    def __init__(self, joined: Joined):
+    def __init__(self, joined: CoupledMembers):
         self._joined = joined
         counts = [len(m.booking.components) for m in joined.members]
         self._components = np.cumsum([0, *counts]).tolist()
@@ -51,14 +51,14 @@ class SharedJumps:
                 found[m.name] = own
         return found
 
-    def jump(self, t: float, fired: Mapping[int, Fired]) -> tuple[Array, Array]:
+    def jump(self, t: float, fired: Mapping[int, FiredEvents]) -> tuple[Array, Array]:
         """Moves the states of all members that the jumps of members number i reach.
 
-        Energies that the components of the network got, and what they lost.  EventRefused.
+        Energies that the components of the network got, and what they lost.  Raises EventRefused.
         """
         numbers, own = self.reached(list(fired))
         parties = [self._party(i, fired.get(i)) for i in numbers]
-        joint = Joint(parties, [Place(self._at[i][:, own], self._components[i]) for i in numbers])
+        joint = ImpulseSystem(parties, [PartyPlace(self._at[i][:, own], self._components[i]) for i in numbers])
         work = joint.strike(self._joined.network.name, t)
         energy, lost = np.zeros((2, self._components[-1]))
         energy[joint.components] = work.sum(axis=1)
@@ -106,7 +106,7 @@ class SharedJumps:
         through = (face.P @ B).toarray()
         return [through[own] for own in at]
 
-    def _party(self, i: int, fired: Fired | None) -> Party:
+    def _party(self, i: int, fired: FiredEvents | None) -> Party:
         member, kernel = self._joined.members[i], self._kernels[i]
         if isinstance(member, EngineMember):
             assert kernel is not None

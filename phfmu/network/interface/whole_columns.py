@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 TOLD = [name for name, block, _ in LEDGER if block != "gap"]
 
 
-class Section(IntEnum):
+class ColumnSection(IntEnum):
     """A section of the columns of a composed model, in their order; MORE: it has nothing of the kind."""
 
     FREE_PORT = 0
@@ -55,7 +55,7 @@ class WholeColumns:
 
         def key(i: int) -> tuple[int, int, int]:
             n = everything[i]
-            return at.get(n) or (Section.MORE, member.get(n.partition(".")[0], 0), 0)
+            return at.get(n) or (ColumnSection.MORE, member.get(n.partition(".")[0], 0), 0)
 
         self._order = np.array(sorted(kept, key=key), int)
         self.names = [everything[i] for i in self._order]
@@ -69,7 +69,7 @@ class WholeColumns:
 def _places(network: Network) -> dict[str, tuple[int, int, int]]:
     """Section, member and place in it of the columns of the composed model; a unit of another tool tells what it likes."""
     joined = {e for j in network.junctions for e in j.ends}
-    at = {total(what): (int(Section.TOTAL), 0, i) for i, what in enumerate(TOLD)}
+    at = {total(what): (int(ColumnSection.TOTAL), 0, i) for i, what in enumerate(TOLD)}
     fed = [w for w in network.wires if {w.source, w.target} <= network.declared.keys()]
     members = wired(network.declared, fed) if fed else network.declared
     for m, (name, declared) in enumerate(members.items()):
@@ -80,30 +80,30 @@ def _places(network: Network) -> dict[str, tuple[int, int, int]]:
         unknowns = junction_unknowns(network.members, j)
         for n in (n for v in (unknowns.common, *unknowns.dual.values()) for n in v.names()):
             i = len(at)
-            at |= {n: (Section.ALGEBRAIC, last, i), end_name(n): (Section.END, last, i)}
-            at[check_name(Level.VELOCITY, n)] = int(Section.VELOCITY), last, i
+            at |= {n: (ColumnSection.ALGEBRAIC, last, i), end_name(n): (ColumnSection.END, last, i)}
+            at[check_name(Level.VELOCITY, n)] = int(ColumnSection.VELOCITY), last, i
     return at
 
 
-def _of_declared(name: str, declared: PHDAE, joined: set[End]) -> Iterator[tuple[Section, int, str]]:
+def _of_declared(name: str, declared: PHDAE, joined: set[End]) -> Iterator[tuple[ColumnSection, int, str]]:
     """Section, place in it and name of what a declared member tells."""
     for i, p in enumerate(declared.ports):
         free = p.external and End(name, p.name) not in joined
         for n in (*p.output_names(""), *p.output_names(MEAN), port_energy(p.name)):
-            yield Section.FREE_PORT if free else Section.FED_PORT, i, n
+            yield ColumnSection.FREE_PORT if free else ColumnSection.FED_PORT, i, n
     for i, owner in enumerate(declared.members):
         for what in TOLD:
-            yield Section.MEMBER_TOTAL, i, total(what, owner)
+            yield ColumnSection.MEMBER_TOTAL, i, total(what, owner)
     for v in declared.states:
         for n in v.names():
-            yield Section.STATE, 0, n
+            yield ColumnSection.STATE, 0, n
     for n in (n for v in declared.algebraics for n in v.names()):
-        yield Section.ALGEBRAIC, 0, n
-        yield Section.END, 0, end_name(n)
-        yield Section.VELOCITY, 0, check_name(Level.VELOCITY, n)
-        yield Section.POSITION, 0, check_name(Level.POSITION, n)
+        yield ColumnSection.ALGEBRAIC, 0, n
+        yield ColumnSection.END, 0, end_name(n)
+        yield ColumnSection.VELOCITY, 0, check_name(Level.VELOCITY, n)
+        yield ColumnSection.POSITION, 0, check_name(Level.POSITION, n)
     for o in declared.observables:
         for n in o.names():
-            yield Section.OBSERVABLE, 0, n
+            yield ColumnSection.OBSERVABLE, 0, n
     for n in declared.modes:
-        yield Section.MODE, 0, n
+        yield ColumnSection.MODE, 0, n

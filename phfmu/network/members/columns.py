@@ -15,7 +15,7 @@ from phfmu.signals import Quantity, SignalKind, ordered_ports, quantities
 Array = NDArray[np.float64]
 
 
-class Columns:
+class SignalColumns:
     """Names and gather tables of every calculated variable (no parameters, inputs or time)."""
 
     def __init__(self, model: Model, layout: dict[str, slice]):

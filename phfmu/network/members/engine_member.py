@@ -14,9 +14,9 @@ from phfmu.discretise.constant_energy import Constants
 from phfmu.discretise.model import Model, build_model
 from phfmu.engine.impulses import port_kernels
 from phfmu.engine.rest_changes import RestChange
-from phfmu.network.members.columns import Columns, booked, booking
+from phfmu.network.members.columns import SignalColumns, booked, booking
 from phfmu.network.members.consistent import MONOLITHIC, require_consistent
-from phfmu.network.members.happenings import Happenings
+from phfmu.network.members.event_texts import EventTexts
 from phfmu.network.members.inputs import Inputs, places
 from phfmu.network.signal_ports import signal_places
 from phfmu.outcome.steps import StepEvent
@@ -50,7 +50,7 @@ class EngineMember:
         self.input_sign = np.ones(self.nu)
         #: its steps look at no guard: all members land together
         self.together = False
-        self._happenings = None if model.events is None else Happenings(model, name)
+        self._event_texts = None if model.events is None else EventTexts(model, name)
         self._constants = Constants(model)
         own = booking(model, self._constants.booked(instance.parameters))
         rename = {model.name: name}
@@ -60,7 +60,7 @@ class EngineMember:
             constants=own.constants,
         )
         self._booked = booked(model)
-        self._columns = Columns(model, instance.layout)
+        self._columns = SignalColumns(model, instance.layout)
         self.names = self._columns.names
 
     @property
@@ -216,7 +216,7 @@ class EngineMember:
         return energies if len(self._booked) == energies.shape[-1] else energies[..., self._booked]
 
     def happened(self) -> list[StepEvent]:
-        told = self._happenings
+        told = self._event_texts
         return [] if told is None or self.together else [told.told(h) for h in self.instance.happened]
 
     def energies(self) -> Array:

@@ -24,7 +24,7 @@ from phfmu.signals import CONSTANT, ENERGY, HAPPENED, JUMPED, SignalKind, port_e
 from phfmu.words import counted
 
 
-class UnitHappenings:
+class UnitEventTexts:
     """Changes of `energy.events` and `events.*` over a step; nothing of units without them.  `found`: of the last step."""
 
     def __init__(self, unit: FMUInstance, name: str):
@@ -124,7 +124,7 @@ class FMUMember:
         self._moved = False
         more = np.ones(self.nu - unit.nu)
         self.input_sign = np.append(unit.input_sign, more)
-        self._happened = UnitHappenings(unit, name)
+        self._happened = UnitEventTexts(unit, name)
         self.nominal = np.append(
             np.abs(unit.input_sign) * np.array([unit.variable(n).nominal for n in unit.inputs]), more
         )
@@ -187,7 +187,7 @@ class FMUMember:
         return places({n: i for i, n in enumerate([*self.unit.inputs, *self.taken])}, name)
 
     def set_parameter(self, name: str, value: float) -> str:
-        """Tunable parameters and inputs without power; ValueError for parameters that are fixed once it is initialised."""
+        """Tunable parameters and inputs without power; raises ValueError for parameters that are fixed once it is initialised."""
         found = [n for n in self._others if n == name or n.partition("[")[0] == name]
         if found:
             self._given |= dict.fromkeys(found, value)
@@ -204,7 +204,7 @@ class FMUMember:
         )
 
     def _rebook(self) -> None:
-        """What the unit tells to be constant in its stored energy may follow a parameter that was set."""
+        """Book anew the constant of the stored energy that the unit tells, which may follow a parameter that was set."""
         if self._constant and (held := (float(self.unit.get(self._constant).sum()),)) != self.booking.constants:
             self.booking = replace(self.booking, constants=held)
 
@@ -349,8 +349,8 @@ class FMUMember:
         return book
 
     @property
-    def events_told(self) -> UnitHappenings:
-        """What it tells of events within its steps."""
+    def events_told(self) -> UnitEventTexts:
+        """Events within steps, as the unit tells them."""
         return self._happened
 
     def happened(self) -> list[StepEvent]:

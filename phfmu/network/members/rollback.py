@@ -2,7 +2,7 @@
 
 Flags of units are wrong in the wild: a saved state may hold less than what the next step depends on.  So steps are taken, taken
 back and taken again, in instances of their own, and compared with steps that are never taken back.  Units also differ in what
-they make of noSetFMUStatePriorToCurrentPoint, so each is tried in the ways in which a step can be repeated (`WAYS`).
+they make of noSetFMUStatePriorToCurrentPoint, so each is tried in the ways in which a step can be repeated (`REPEAT_MODES`).
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ REPEATS = 1e-9  # values that differ by less, relative to the largest of the var
 
 
 @dataclass(frozen=True)
-class Way:
-    """How a step is repeated: what trials are told as noSetFMUStatePriorToCurrentPoint, and whether the accepted trial is taken
-    once more with True, since the unit keeps nothing of a step that was told False.
+class RepeatMode:
+    """Mode in which a step is repeated: the noSetFMUStatePriorToCurrentPoint that trials are told, and whether the accepted
+    trial is taken once more with True, since the unit keeps nothing of a step that was told False.
     """
 
     no_set_prior: bool
@@ -43,7 +43,7 @@ REPEATED = "a step repeated from a restored state"
 AFTER = "a step after others were taken back"
 
 #: True is so, as states are restored to the start of the step only; some units then restore nothing, and others move on only so
-WAYS = (Way(True), Way(False), Way(False, once_more=True))
+REPEAT_MODES = (RepeatMode(True), RepeatMode(False), RepeatMode(False, once_more=True))
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class Rollback:
 
     works: bool
     words: str = ""
-    way: Way = WAYS[0]
+    way: RepeatMode = REPEAT_MODES[0]
     late: bool = False
     repeated: float = 0.0
 
@@ -65,32 +65,32 @@ def try_rollback(make: Callable[[], FMUInstance], h: float) -> Rollback:
         if not unit.interface.saves:
             return Rollback(False, "cannot save its state")
         unit.steps.no_set_prior = True
-        ahead = _Steps(unit, h)
+        ahead = _RepeatedSteps(unit, h)
         try:
             ahead.take(0, ahead.u)
             straight = [ahead.take(k, ahead.moved) for k in (1, 2)]
         except EndRequested:  # there is nothing to be repeated
             return Rollback(True)
     tried = list[Rollback]()
-    for way in WAYS:
+    for way in REPEAT_MODES:
         with make() as unit:
             tried.append(_try(unit, h, way, straight))
         if tried[-1].works:
             return tried[-1]
-    for way in WAYS[:2]:
+    for way in REPEAT_MODES[:2]:
         with make() as unit:
             if (left := _wanders(unit, h, way)) > 0.0:
                 return Rollback(True, NEARLY.format(left), way, repeated=MARGIN * left)
     return tried[0]
 
 
-def _wanders(unit: FMUInstance, h: float, way: Way) -> float:
+def _wanders(unit: FMUInstance, h: float, way: RepeatMode) -> float:
     """The largest relative difference of a step that is taken again and again, if it is small and stays as it is; else 0.
 
     Solvers inside a unit may keep the length of their last step, which is in no saved state: steps taken again differ by less
     than these solvers' own error, however often.  What a unit has forgotten of its state goes on from trial to trial instead.
     """
-    steps = _Steps(unit, h, way)
+    steps = _RepeatedSteps(unit, h, way)
     try:
         steps.accept(0, steps.u)
         steps.begin()
@@ -107,9 +107,9 @@ def _wanders(unit: FMUInstance, h: float, way: Way) -> float:
     return left if (whole <= STAYS * half + REPEATS).all() and left <= NEAR else 0.0
 
 
-def _try(unit: FMUInstance, h: float, way: Way, straight: list[Array]) -> Rollback:
+def _try(unit: FMUInstance, h: float, way: RepeatMode, straight: list[Array]) -> Rollback:
     """Steps as `straight`, of which the second is repeated: in between it is taken under other inputs."""
-    steps = _Steps(unit, h, way)
+    steps = _RepeatedSteps(unit, h, way)
     try:
         steps.begin()
         steps.accept(0, steps.u)
@@ -131,10 +131,10 @@ def _try(unit: FMUInstance, h: float, way: Way, straight: list[Array]) -> Rollba
     return replace(worst, way=way)
 
 
-class _Steps:
+class _RepeatedSteps:
     """Steps of a unit, number k from t0 + k h, and what it tells of them; `moved`: inputs beside those of the start."""
 
-    def __init__(self, unit: FMUInstance, h: float, way: Way = WAYS[0]):
+    def __init__(self, unit: FMUInstance, h: float, way: RepeatMode = REPEAT_MODES[0]):
         self._unit, self._h, self._way, self._t0 = unit, h, way, unit.time
         self._told = [n for n in unit.names if unit.variable(n).causality != "input"]
         self.names = [*self._told, *(f"mean of {n}" for n in unit.outputs)]

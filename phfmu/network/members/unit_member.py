@@ -10,8 +10,8 @@ from phfmu.fmu.importer.reader import FMUInstance
 from phfmu.fmu.importer.unit_file import UnitFile
 from phfmu.network.members.fmu_member import FMUMember
 from phfmu.network.members.member import Member
-from phfmu.network.members.rollback import WAYS, Rollback, response, tells_late, try_rollback
-from phfmu.network.members.stepped_last import SteppedLast
+from phfmu.network.members.predicted_member import PredictedMember
+from phfmu.network.members.rollback import REPEAT_MODES, Rollback, response, tells_late, try_rollback
 
 LAST = "it is stepped last, against a predicted response; what that misses is booked at its junctions"
 LATE = (
@@ -47,11 +47,11 @@ def unit_member(name: str, file: UnitFile, h: float, found: Rollback | None = No
     # before the member: some libraries have one instance at a time
     late = not file.interface.energy and tells_late(partial(made, name, file), h) if found is None else found.late
     answer = None if found is None or found.works else response(partial(made, name, file, in_parts=late), h)
-    way = found.way if found and found.works else WAYS[0]
+    way = found.way if found and found.works else REPEAT_MODES[0]
     unit = made(name, file, way.no_set_prior, late)
     notes += [f"{name}: {line}" for line in unit.lacking]
     notes += [f"{name}: {LATE}"] if late else []
     if answer is not None and found is not None:
-        return SteppedLast(FMUMember(name, unit), h, answer), [*notes, f"{name}: {found.words}; {LAST}"]
+        return PredictedMember(FMUMember(name, unit), h, answer), [*notes, f"{name}: {found.words}; {LAST}"]
     notes += [f"{name}: {found.words}"] if found and found.words else []
     return FMUMember(name, unit, way.once_more, found.repeated if found else 0.0), notes

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from phfmu.engine.native.library import Column, Record, drivers, record_widths
 from phfmu.engine.native.native import NativeInstance
-from phfmu.engine.native.native_landing import LandedRows, Room
+from phfmu.engine.native.native_landing import LandedRows, LandingMemory
 from phfmu.engine.native.structures import Header, Structures
 from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.outcome.status import StepFailure
@@ -144,7 +144,7 @@ class NativeMarch:
     def land(self, t: float, goals: Array, room: int) -> Iterator[Landed]:
         """The same with guards: steps and events; StepFailure after those before it."""
         stepper, landing = self._adaptive.stepper, self._landing
-        found: Room = landing.room(room, stepper.landed_records(stepper.instance))
+        found: LandingMemory = landing.room(room, stepper.landed_records(stepper.instance))
         switched = stepper.model.modes is not None
         if switched:
             landing.push()

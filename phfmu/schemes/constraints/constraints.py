@@ -52,7 +52,7 @@ def velocity_level(layout: Layout, term: Term, j: int, node: int) -> int:
 
 
 @dataclass(frozen=True)
-class _Path:
+class _ConstraintStep:
     """The step of one constraint: q and t at its start, increments d (n x k) of q, step size h (None if g is at rest)."""
 
     q: ca.SX
@@ -77,9 +77,9 @@ class _Path:
         return ca.SX(0) if self.t is None else ca.gradient(g, self.t)
 
 
-def _path(term: Term, args: Arguments, d: ca.SX, nd: Nodes) -> _Path:
+def _path(term: Term, args: Arguments, d: ca.SX, nd: Nodes) -> _ConstraintStep:
     t = term.local.get(Value.TIME)
-    return _Path(term.local[Value.STATE], d, t, None if t is None else args.symbol(step_size), nd)
+    return _ConstraintStep(term.local[Value.STATE], d, t, None if t is None else args.symbol(step_size), nd)
 
 
 def quadratic(term: Term) -> bool:
@@ -88,7 +88,7 @@ def quadratic(term: Term) -> bool:
     return p is not None and p <= 2
 
 
-def _node_rows(g: ca.SX, path: _Path, simple: bool) -> tuple[list[ca.SX], list[ca.SX]]:
+def _node_rows(g: ca.SX, path: _ConstraintStep, simple: bool) -> tuple[list[ca.SX], list[ca.SX]]:
     """Rows G_i and rates r_i with sum_i b_i (G_i D_i + h r_i) = g(q', t') - g(q, t).
 
     At rest:  Dg(X_i) for quadratic g, the mean value by exact quadrature for polynomials and by
@@ -113,7 +113,7 @@ def _node_rows(g: ca.SX, path: _Path, simple: bool) -> tuple[list[ca.SX], list[c
     return [rows[i] + beta * d[:, i] for i in range(nd.k)], rates
 
 
-def _turning(g: ca.SX, path: _Path, v: ca.SX, dv: ca.SX, simple: bool) -> tuple[list[ca.SX], list[ca.SX]]:
+def _turning(g: ca.SX, path: _ConstraintStep, v: ca.SX, dv: ca.SX, simple: bool) -> tuple[list[ca.SX], list[ca.SX]]:
     """K_i and S_i, node gradients of w = Dg v + g_t by q and by v.
 
     At rest sum_i b_i (K_i D_i + S_i V_i) = w(q', v') - w(q, v); what is missing in a moving constraint is its work.

@@ -26,10 +26,10 @@ from phfmu.declare.variable import Value
 from phfmu.gradients.quadrature import Nodes, gauss
 from phfmu.plan.address import Address, Place, increment
 from phfmu.plan.layout import Layout
-from phfmu.plan.planner import Maps
+from phfmu.plan.planner import SchemeMaps
 from phfmu.plan.spec import Arguments, Result, Spec
 from phfmu.plan.unknown import Role, Unknown, of_algebraics, of_states
-from phfmu.terms.bare import IMPULSE, Finder, Remedy
+from phfmu.terms.bare import IMPULSE, BareRows, Remedy
 from phfmu.terms.located import Row
 from phfmu.terms.term import Term, Terms
 
@@ -86,12 +86,12 @@ def work_on(layout: Layout, term: Term, j: int, node: int) -> int:
 
 def prepare(terms: Terms) -> Terms:
     """Terms with the impulses of their bare nodes; the same object where there are none."""
-    finder = Finder(terms)
-    pairs, ends = finder.impulse_terms(Remedy.PAIR), finder.impulse_terms(Remedy.PROJECTION)
+    bare = BareRows(terms)
+    pairs, ends = bare.impulse_terms(Remedy.PAIR), bare.impulse_terms(Remedy.PROJECTION)
     if not pairs and not ends:
         return terms
     shifted, ended = _states(pairs), _states(pairs + ends)
-    rows = {remedy: tuple(n.row for n in finder.nodes if n.remedy == remedy) for remedy in Remedy}
+    rows = {remedy: tuple(n.row for n in bare.nodes if n.remedy == remedy) for remedy in Remedy}
     marked = [_marked(t, set(shifted)) for t in terms.terms]
     impulses = Impulses(rows[Remedy.PAIR], rows[Remedy.PROJECTION], shifted, ended)
     return replace(terms, terms=marked + pairs + ends).having(impulses)
@@ -217,7 +217,7 @@ def reports(terms: Terms) -> list[Work]:
     return [Work(r.index, t.owner) for t in terms.of(IMPULSE) for r in t.rows if r.kind is Row.EQUATION]
 
 
-def maps(layout: Layout, base: Maps) -> Maps:
+def maps(layout: Layout, base: SchemeMaps) -> SchemeMaps:
     """`base` with the shifts of x', with node voltages whose interval means include the impulses, (m + m')/h, and with work."""
     found = layout.terms.found(Impulses)
     if not found.end_states:

@@ -61,13 +61,13 @@ def prepare(terms: Terms) -> Terms:
 
 
 def uneven(terms: Terms) -> bool:
-    """Whether the masses of the velocities that constraints act on, light ones aside, are UNEVEN."""
+    """True if the masses of the velocities that constraints act on, light ones aside, are UNEVEN."""
     values = [m for m in _acted_on(terms, [t for t in terms.of(MASS) if not is_light(t)]) if m > 0]
     return bool(values) and max(values) >= UNEVEN * min(values)
 
 
 def vanishing(terms: Terms) -> bool:
-    """Whether one of the masses of the velocities that constraints act on is VANISHING beside another."""
+    """True if one of the masses of the velocities that constraints act on is VANISHING beside another."""
     values = _acted_on(terms, terms.of(MASS))
     return bool(values) and max(values) >= VANISHING * min(values)
 
@@ -103,7 +103,7 @@ def _with_masses(term: Term, masses: list[Term | None], light: NDArray[np.bool_]
 
 
 def is_light(term: Term) -> bool:
-    """Whether a mass is that of a light velocity."""
+    """True if a mass is that of a light velocity."""
     return term.form is Weight.LIGHT
 
 
@@ -155,7 +155,7 @@ def light_velocities(terms: Terms, shifted: list[int], mass: dict[int, Term]) ->
 
 
 def require_velocities(terms: Terms, shifted: list[int]) -> None:
-    """DeclarationError unless the costate of every state in `shifted` is that state (kinetic energy with diagonal M)."""
+    """Raise DeclarationError unless the costate of every state in `shifted` is that state (kinetic energy with diagonal M)."""
     p, good = _parameters(terms), dict.fromkeys(shifted, 0)
     rng = np.random.default_rng(1)
     known: dict[tuple, NDArray[np.bool_]] = {}

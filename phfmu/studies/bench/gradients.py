@@ -102,7 +102,7 @@ def measure(case: Case) -> Cost:
     model, h = built(case)
     instance, plan = NativeInstance(model, kernels="compiled"), model.step
     n = _steps(instance, h)
-    tape, back = NativeTape(instance, n + 64), NativeReverse(model, instance._made, 1)
+    tape, back = NativeTape(instance, n + 64), NativeReverse(model, instance._native_model, 1)
     nothing = RowBars(np.zeros(0, np.int32), np.zeros((0, 1, 1)))
     row, part = np.arange(n, dtype=np.int32), np.ones(n)
     times = np.zeros((TURNS, 3))

@@ -65,8 +65,8 @@ def measure(name: str, declaration: PHDAE, versions: tuple[str, ...]) -> Row:
     from phfmu.discretise.model import build_model
     from phfmu.engine.build.codegen import kernel_table
     from phfmu.engine.model import kernels
-    from phfmu.engine.native.compiled import made_of
     from phfmu.engine.native.native import NativeInstance
+    from phfmu.engine.native.native_model import native_model
     from phfmu.fmu.export.export import export
 
     model = build_model(declaration)
@@ -76,7 +76,7 @@ def measure(name: str, declaration: PHDAE, versions: tuple[str, ...]) -> Row:
         before = compiler_seconds()
         unit = NativeInstance(model, kernels="compiled")
         seconds = compiler_seconds() - before
-        library = made_of(model, "compiled").code.build
+        library = native_model(model, "compiled").code.build
         assert library is not None
         size = library.path.stat().st_size
         paths = export(model, folder, versions=versions, step=H)

@@ -150,7 +150,7 @@ def gain(name: str, varied: str, measured: str, order: int, stop: float) -> Gain
     from phfmu.engine.native.native import NativeInstance
     from phfmu.runs.options import Options
     from phfmu.schemes.named import named_scheme
-    from phfmu.sweeps.lanes import Solver
+    from phfmu.sweeps.lanes import LaneSolver
     from phfmu.sweeps.native_runs import NativeRuns
     from phfmu.sweeps.recipe import Recipe
     from phfmu.target import scene
@@ -164,7 +164,7 @@ def gain(name: str, varied: str, measured: str, order: int, stop: float) -> Gain
     task = Recipe(here, (varied,), (measured,), options, named_scheme(declaration, order=order), "native").task()
     compiled = NativeInstance(task.model, kernels="compiled")
     schur = task.model.step.schur
-    made = None if schur is None else Solver(schur)  # is found then
+    made = None if schur is None else LaneSolver(schur)  # is found then
     rows = start * np.linspace(1.0, 1.2, SIDE_BY_SIDE)[:, None]
     both = NativeRuns(task, lanes=False), NativeRuns(task)
     times, found = tuple[list[float], list[float]](([], [])), [runs.take(rows) for runs in both]

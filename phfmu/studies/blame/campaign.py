@@ -89,7 +89,7 @@ def _findings(log: Path) -> list[Finding]:
 def _run(drawn: Drawn, log: Path, guilty: str, fault: Fault | None, where: Where) -> tuple[FaultyMember, Path | None]:
     """A run with an audit log, which may end early; the member with the fault, and the log if there is a step in it."""
     from phfmu.audit import AuditWriter
-    from phfmu.network.couplings.choice.named import named_coupling
+    from phfmu.network.couplings.choice.coupling_choice import named_coupling
     from phfmu.network.couplings.coupled import Coupled
     from phfmu.outcome.status import StepFailure
     from phfmu.runs.loop import run

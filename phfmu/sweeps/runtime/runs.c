@@ -200,7 +200,7 @@ static unsigned step_all(const ph_runs_group *g, double t, double h, int *status
     return inside;
 }
 
-/* What is measured of run l, out of the lanes; energies are those that are booked. */
+/* Copies the measured values of run l out of the lanes; energies are those that are booked. */
 static void show(const ph_runs_group *g, int l, unsigned inside) {
     const ph_runs *s = g->each[l];
     for (int i = 0; i < s->nmeasure; i++) {

@@ -8,14 +8,14 @@
 #define PH_RUNS_INCONSISTENT -1
 #define PH_RUNS_STOPPED -2
 
-/* Where the value of a column goes. */
+/* The place of the value of a column. */
 typedef struct ph_runs_place {
     int kind;
     int index;
     int column;
 } ph_runs_place;
 
-/* What an event sets. */
+/* A value that an event sets. */
 typedef struct ph_runs_change {
     int kind;
     int index;

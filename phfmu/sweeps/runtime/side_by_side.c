@@ -8,7 +8,7 @@ enum { TABLE = 0, ROWS = 3 }; /* places in ph_state_arrays */
  * fast for one. */
 enum { LONGEST = 64, RETURNS = 16, FEWEST = PH_LANE_WIDTH / 2 + 1 };
 
-/* What follows is aligned as the whole is, for vectors. */
+/* Size of the head, after which vectors are aligned as the whole is. */
 static size_t head(void) {
     return (sizeof(ph_lanes) + 63) / 64 * 64;
 }
@@ -74,7 +74,7 @@ void ph_lanes_leave(ph_lanes *lanes) {
         lanes->period[l] = 1;
 }
 
-/* Whether the next step of an instance is one that lanes take. The Schur stepper is not asked where other
+/* 1 if the next step of an instance is one that lanes take. The Schur stepper is not asked where other
  * constraints rest than those that it leaves out, and what constraints at rest miss is looked at run by run.
  * It leaves factors of Newton's method as they are. */
 static int usual(const ph_lanes *lanes, const ph_instance *in) {
@@ -86,7 +86,7 @@ static int usual(const ph_lanes *lanes, const ph_instance *in) {
     return in->planned && !s->resting && (!in->head->kept || (s->holds && s->lu.filled));
 }
 
-/* Whether the next step of an instance begins as that of the runs inside. */
+/* 1 if the next step of an instance begins as that of the runs inside. */
 static int alike(const ph_lanes *lanes, const ph_instance *a, const ph_instance *b) {
     if (*a->step.last_h != *b->step.last_h || a->head->held != b->head->held)
         return 0;
@@ -121,7 +121,7 @@ void ph_lanes_enter(ph_lanes *lanes, int l, ph_instance *in) {
     lanes->inside |= 1U << l;
 }
 
-/* What the step of a run inside leaves in the head of its instance; factors: whether it had any. */
+/* Updates the head of the instance of a run inside after its step; factors: whether it had any. */
 static void follow(ph_instance *in, double h, int factors, int iterations, int factored) {
     const int most = in->step.plan->keep_most;
     ph_measure_trust(in->head, most, ph_trusts(in->head), iterations, factored);

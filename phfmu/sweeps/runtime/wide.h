@@ -12,7 +12,7 @@ typedef struct ph_wide ph_wide;
 /* Bytes for runs of `model` with the kernels of `code`, all of them interpreted by ph_wide_interpret_*, and
  * with its solver, which is compiled for so many runs: with one they have no other way to solve a step. */
 size_t ph_wide_size(const ph_model *model, const ph_code *code);
-/* In memory of so many bytes, aligned for double. */
+/* Begin in memory of so many bytes, aligned for double. */
 ph_wide *ph_wide_init(void *memory, const ph_model *model, const ph_code *code);
 /* The arrays of ph_state_arrays, in whose rows of PH_LANE_WIDTH number l belongs to run l. */
 const ph_array *ph_wide_arrays(const ph_wide *w);
@@ -20,10 +20,10 @@ const ph_array *ph_wide_arrays(const ph_wide *w);
 int ph_wide_prepare(ph_wide *w, const int *pivot, double last_h, int held);
 /* The matrix [nnz] of the factor that run l has kept, to be taken over with the next step. */
 void ph_wide_recall(ph_wide *w, int l, const double *kept);
-/* Those of all runs, in rows as ph_wide_arrays. */
+/* The matrices that runs have kept, in rows as ph_wide_arrays. */
 ph_array ph_wide_kept(const ph_wide *w);
 
-/* What a step took of each run. */
+/* The cost of a step of each run. */
 typedef struct ph_wide_cost {
     int iterations[PH_LANE_WIDTH];
     unsigned factored; /* runs with a factor of another matrix than before */

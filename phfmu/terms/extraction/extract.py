@@ -16,7 +16,7 @@ from phfmu.terms.extraction.extract_flows import blocks, ports
 from phfmu.terms.extraction.extract_masses import closed_pairs, masses
 from phfmu.terms.hidden import hidden_rows
 from phfmu.terms.located import Row, RowAt
-from phfmu.terms.term import CONSTRAINT, OBSERVABLE, Pair, Terms
+from phfmu.terms.term import CONSTRAINT, OBSERVABLE, PortPair, Terms
 from phfmu.terms.velocities import velocities, velocity_of
 
 
@@ -65,7 +65,7 @@ def extract(model: PHDAE, *, joint: bool = False) -> Terms:
         nu=sum(p.n for p in free),
         members=members,
     )
-    pairs = out.pairs = [Pair(p, j, out.member(p.owner)) for p in (*free, *rest) for j in range(p.n)]
+    pairs = out.pairs = [PortPair(p, j, out.member(p.owner)) for p in (*free, *rest) for j in range(p.n)]
     locator = Locator(model, pairs)
     for i, pair in enumerate(pairs):
         if pair.port.bound is not None:

@@ -71,7 +71,7 @@ def _bent(
 
 
 def _require_kind(model: PHDAE, e: Energy, states: list[tuple[ca.SX, int]]) -> None:
-    """DeclarationError if a term claims a constant Hessian (of H, of the invariant C) that its operations do not show."""
+    """Raise DeclarationError if the operations of a term do not show the constant Hessian (of H, of the invariant) it claims."""
     what, expr = ("H", e.expr) if e.kind is EnergyKind.QUADRATIC else ("the invariant C", e.invariant)
     if e.kind is EnergyKind.GENERAL or expr is None:
         return
@@ -153,7 +153,7 @@ def _states_of(expr: ca.SX, locator: Locator) -> list[tuple[ca.SX, int]]:
 
 
 def component_energies(terms: Terms) -> list[ca.SX]:
-    """By the members of `terms`."""
+    """Energies of the members of `terms`, in their order."""
     model = terms.model
     out = [ca.SX(0) for _ in terms.members]
     for e in model.energies:

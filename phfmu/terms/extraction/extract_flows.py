@@ -60,7 +60,7 @@ def _flow(out: Terms, rows: Sequence[RowAt], f: ca.SX) -> tuple[list[RowAt], ca.
 
 
 @dataclass(frozen=True, eq=False)
-class _Labelled:
+class _LabelledBlock:
     """A block with its variables, their rows, and where the effort of each row is a plain value."""
 
     model: PHDAE
@@ -90,7 +90,7 @@ def blocks(model: PHDAE, out: Terms, locator: Locator) -> None:
         _dissipation(out, locator, _labelled(model, out, locator, b, "R"))
 
 
-def _labelled(model: PHDAE, out: Terms, locator: Locator, b: Block, what: str) -> _Labelled:
+def _labelled(model: PHDAE, out: Terms, locator: Locator, b: Block, what: str) -> _LabelledBlock:
     rows, sources = _rows(model, b.variables, locator)
     label = f"{what} block on {', '.join(v.name for v in b.variables)}"
     shape = b.matrix.shape if b.factor is None else (b.n, b.n)
@@ -101,10 +101,10 @@ def _labelled(model: PHDAE, out: Terms, locator: Locator, b: Block, what: str) -
             "make it as large as its variables and ports",
             "shape",
         )
-    return _Labelled(model, b, rows, sources, out.member(b.owner), label)
+    return _LabelledBlock(model, b, rows, sources, out.member(b.owner), label)
 
 
-def _dissipation(out: Terms, locator: Locator, b: _Labelled) -> None:
+def _dissipation(out: Terms, locator: Locator, b: _LabelledBlock) -> None:
     own = _shortest(b.block)
 
     def dissipation() -> list[Term]:
@@ -138,7 +138,7 @@ def _dissipated(b: Block, part: list[int], z: ca.SX) -> tuple[ca.SX, ca.SX]:
 
 
 def _sharing(b: Block, locator: Locator) -> list[list[int]]:
-    """Components of a block; those that depend on the same states are one, which evaluates what they share once."""
+    """Components of a block; those that depend on the same states are one, which evaluates their common part once."""
     merged: dict[tuple, list[int]] = {}
     for i, part in enumerate(components(b.pattern)):
         symbols = ca.symvar(ca.veccat(*b.on(part).parts))
@@ -148,7 +148,7 @@ def _sharing(b: Block, locator: Locator) -> list[list[int]]:
     return [sorted(part) for part in merged.values()]
 
 
-def _interconnection(out: Terms, locator: Locator, b: _Labelled) -> None:
+def _interconnection(out: Terms, locator: Locator, b: _LabelledBlock) -> None:
     varying: list[tuple[int, int, ca.SX]] = []
     i_row, i_col = b.block.matrix.sparsity().get_triplet()
     entries = scalars(b.block.matrix)

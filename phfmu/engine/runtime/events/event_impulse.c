@@ -1,4 +1,5 @@
-/* Jumps of the states along L, with the constraints that hold through them; the twin of engine/event_jump.py.
+/* Jumps of the states along L, with the constraints that hold through them; the twin of
+ * engine/landing/event_jump.py.
  */
 #include <math.h>
 #include <string.h>
@@ -123,14 +124,14 @@ static int refuse_one(ph_landing *l, int i, double value, double limit) {
     return ph_refuse_event(l, PH_REFUSED_MOST, value, limit);
 }
 
-/* Those that happen are to blame as far as they jump. */
+/* Refuse the events that happen and jump: their columns depend on each other. */
 static int refuse_jumping(ph_landing *l) {
     for (int i = 0; i < l->events->n; i++)
         l->fired[i] = l->fired[i] && l->events->jump_of[i] >= 0;
     return ph_refuse_event(l, PH_REFUSED_DEPENDENT, 0.0, 0.0);
 }
 
-/* What c is to be turned into, for n columns of which the first `jumping` jump. */
+/* The values that impulses are to turn c into, for n columns of which the first `jumping` jump. */
 static int aim(ph_landing *l, int n, int jumping) {
     const ph_events *e = l->events;
     const double *restitution = l->jump + e->ncolumn * (e->ncomponent + e->nmoved + e->ncolumn);

@@ -1,4 +1,4 @@
-/* What happens at a zero: the states jump, parameters are set. */
+/* Events at a zero of a guard: the states jump, parameters are set. */
 #include <float.h>
 #include <math.h>
 #include <string.h>

@@ -64,9 +64,9 @@ void ph_guard_slopes(const ph_landing *l, double *slopes);
 int ph_read_guarded(ph_landing *l);
 int ph_guard_values(ph_landing *l, double *g);
 int ph_armed(const ph_landing *l, int i);
-/* What guard i is zero below, which changes at `rate` (1/s) at time t. */
+/* The value below which guard i, which changes at `rate` (1/s), is zero at time t. */
 double ph_zero_below(const ph_landing *l, int i, double t, double rate);
-/* What may be left now of guard i if it was zero where this instant was reached. */
+/* The value that guard i may have now if it was zero where this instant was reached. */
 double ph_rounded(const ph_landing *l, int i);
 /* An instant is reached at the rates l->moved. */
 void ph_arrive(ph_landing *l);

@@ -40,7 +40,7 @@
  * polynomial was beyond, the chord of an arc. */
 #define PH_LEAVING_ARC 2
 
-/* What is left of a step after an event is no step in so many units of rounding of the time. */
+/* The rest of a step after an event is no step if it is at most so many units of rounding of the time. */
 #define PH_REST_OF_STEP 4
 
 /* Events pile up where one follows itself within this part of the step, or where so many fall into one. */

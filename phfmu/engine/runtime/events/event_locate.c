@@ -1,4 +1,4 @@
-/* Where a step ends: the first zero of a guard, the step that ends on it. */
+/* The end of a step: the first zero of a guard, the step that ends on it. */
 #include <float.h>
 #include <math.h>
 #include <string.h>
@@ -61,8 +61,8 @@ static int land(ph_landing *l, int i, const ph_crossing *at, double low, double 
     return PH_OK;
 }
 
-/* The same of a guard that turns back: steps that end there look for values beyond zero, by parabolas.
- * Points are lengths and distances from zero. */
+/* Land on the zero of a guard that turns back: steps that end there look for values beyond zero, by
+ * parabolas. Points are lengths and distances from zero. */
 static int turned(ph_landing *l, int i, const ph_crossing *at, double *length) {
     const double whole = l->h, side = l->start[i] > 0.0 ? 1.0 : -1.0;
     const double end = l->values[(l->events->npoint - 1) * l->events->n + i];

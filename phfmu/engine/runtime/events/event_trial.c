@@ -130,7 +130,7 @@ static void move(ph_landing *l) {
     }
 }
 
-/* Whether a guard may turn back before its end, or has left zero, so that its rates at the end are wanted. */
+/* 1 if a guard may turn back before its end, or has left zero, so that its rates at the end are wanted. */
 static int approaches(ph_landing *l, const double *end) {
     const ph_events *e = l->events;
     ph_clear(l->slopes + e->n, e->n);
@@ -189,8 +189,8 @@ static int leaving(ph_landing *l) {
     return n;
 }
 
-/* Where guard i turns back that no polynomial saw at zero, with the slope 0; one that left zero crosses it
- * again. */
+/* The crossing where guard i turns back that no polynomial saw at zero, with the slope 0; one that left zero
+ * crosses it again. */
 static int turns(const ph_landing *l, int i, ph_crossing *at) {
     const ph_events *e = l->events;
     const double end = l->values[(e->npoint - 1) * e->n + i];
@@ -221,7 +221,7 @@ int ph_first_zero(const ph_landing *l, const signed char *refused, ph_crossing *
     return found;
 }
 
-/* Which guards in l->fired were inside at the ends of all steps so far; 1 if they all were. */
+/* Marks the guards in l->fired that were inside at the ends of all steps so far; 1 if they all were. */
 static int kept_inside(ph_landing *l, signed char *inside) {
     const ph_events *e = l->events;
     const double *end = l->values + (e->npoint - 1) * e->n;

@@ -114,7 +114,7 @@ const signed char *ph_land_stopped(const ph_landing *l, double *t, int *happened
     return l->stopped ? l->fired : NULL;
 }
 
-/* What was taken of a communication step is that of `from`. */
+/* Take the part of a communication step that was taken so far from the landing `from`. */
 static void take_told(ph_landing *l, const ph_landing *from) {
     l->told = from->told;
     l->told_from = from->told_from;

@@ -53,7 +53,7 @@ typedef struct ph_events {
     const double *fit_divided; /* (npoint-1)^2: the same of values / tau behind 0 */
 } ph_events;
 
-/* What steps and events are written to; the caller's, with room for so many. */
+/* Memory of the caller for steps and events, with room for so many. */
 typedef struct ph_landed {
     int steps_room, events_room;
     int pause;                /* 1: returns before the first step behind an event */
@@ -145,10 +145,11 @@ typedef struct ph_crossing {
 double ph_bernstein(const double *b, int n, double t);
 double ph_bernstein_slope(const double *b, int n, double t, int from_zero);
 int ph_first_crossing(const double *b, int n, int direction, int from_zero, ph_crossing *at);
-/* Whether a guard turns back that may have been zero, and the fraction of the step where: values and slopes
+/* 1 if a guard turns back that may have been zero, and the fraction tau of the step where: values and slopes
  * d guard / d tau at its ends. */
 int ph_turns(double start, double end, double slope_start, double slope_end, double *tau);
-/* Where the parabola through three points (x, y) is least; the middle one where it is not curved upwards. */
+/* The place where the parabola through three points (x, y) is least; the middle one where it is not curved
+ * upwards. */
 double ph_vertex(const double left[2], const double middle[2], const double right[2]);
 
 #endif

@@ -1,10 +1,10 @@
-/* Which mode follows at an instant, soon after it. */
+/* Choice of the mode that follows at an instant, soon after it. */
 #include <math.h>
 #include <string.h>
 
 #include "work.h"
 
-/* Whether switch j may close by itself. */
+/* 1 if switch j may close by itself. */
 static int may_close(const ph_modes *m, int j) {
     const ph_switches *sw = m->sw;
     for (int i = sw->when_ptr[j]; i < sw->when_ptr[j + 1]; i++)
@@ -76,7 +76,7 @@ static int solve(ph_modes *m) {
     return 1;
 }
 
-/* Whether the rows in whose places others stand hold for the variables after the step, to rounding.  If not,
+/* 1 if the rows in whose places others stand hold for the variables after the step, to rounding.  If not,
  * the rows contradict each other (sources in a ring of closed switches), and a variable that the added row
  * makes finite only seems to solve them.
  */
@@ -96,7 +96,7 @@ static int agree(const ph_modes *m, const ph_rates *r, const ph_mode_rows *mode)
     return 1;
 }
 
-/* Whether the switches that are asked obey their law a short step after the states x in m->tried, whose
+/* 1 if the switches that are asked obey their law a short step after the states x in m->tried, whose
  * parameters are in m->p. */
 static int complies(ph_modes *m, const double *x, double step) {
     const ph_switches *sw = m->sw;

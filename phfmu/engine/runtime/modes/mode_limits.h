@@ -14,7 +14,7 @@
 #define PH_MU 1e-9
 #define PH_C 1e-11
 #define PH_MOST_TRIED 4096
-/* Of a typical multiplier, what counts as zero. */
+/* The fraction of a typical multiplier that counts as zero. */
 #define PH_ZERO 1e-6
 /* A multiplier that a landed opening leaves, as a part of its typical magnitude. */
 #define PH_CUT_LANDED 1e-6

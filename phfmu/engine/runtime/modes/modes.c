@@ -104,7 +104,7 @@ static int refuse_all(ph_modes *m) {
     return refuse(m, PH_REFUSED_NO_MODE, 0.0, 0.0);
 }
 
-/* What the instance is at: states, algebraic variables and inputs. */
+/* Read the states, algebraic variables and inputs of the instance. */
 static int read(ph_modes *m, const ph_mode *old) {
     const ph_switches *sw = m->sw;
     const int status = ph_refresh(old->in);

@@ -42,8 +42,8 @@ typedef struct ph_switches {
     const double *when_value;
 } ph_switches;
 
-/* What is known of a mode before there is a model of it: directions of the algebraic variables that no row
- * determines, each with the row that a row of its own stands in. */
+/* The rows of a mode that are known before there is a model of it: directions of the algebraic variables that
+ * no row determines, each with the row that a row of its own stands in. */
 typedef struct ph_mode_rows {
     int nfree;
     const signed char *on;  /* n: 1 or 0 for each switch */
@@ -60,7 +60,7 @@ typedef struct ph_mode {
     int length;        /* of its signal table */
 } ph_mode;
 
-/* Where modes come from; `world` is the caller's. rows: NULL if there is no such mode; mode: the same with
+/* The source of modes; `world` is the caller's. rows: NULL if there is no such mode; mode: the same with
  * its instance, of which none may be left. most: how much switch j could
  * hold, of those that open from the mode `on` with the algebraic variables a (na). */
 typedef struct ph_mode_source {
@@ -89,17 +89,18 @@ PH_API ph_modes *ph_modes_init(void *memory, const ph_switches *switches, const 
                                signed char *sides);
 /* Steps will be about as long as h. */
 PH_API void ph_modes_prepare(ph_modes *m, double h);
-/* As ph_land_from and ph_land, of the present mode and those that follow. changed: events*n, 1 = the switch
+/* ph_land_from and ph_land of the present mode and those that follow. changed: events*n, 1 = the switch
  * went off, 2 = on. Rows of signals: what all modes have, then the energies. */
 PH_API void ph_modes_from(ph_modes *m, double t0, double h, int first, int n, int changed);
 PH_API void ph_modes_to(ph_modes *m, double t, double end, int changed); /* as ph_land_to */
 PH_API int ph_modes_land(ph_modes *m, const ph_record *record, ph_landed *out, signed char *changed);
-/* As ph_land_begin and ph_land_on, but after a status other than PH_OK sides and instance are to be restored.
+/* ph_land_begin and ph_land_on of modes, but after a status other than PH_OK sides and instance are to be
+ * restored.
  */
 PH_API void ph_modes_begin(ph_modes *m, double t, double h, int n);
 PH_API int ph_modes_on(ph_modes *m, ph_landed *out, signed char *changed);
-/* How much switch j could hold, of those that open from a mode with the algebraic variables a (na): for
- * `most` of a source. Infinite where directions share multipliers, so that this is not told. */
+/* The largest value that switch j could hold, of those that open from a mode with the algebraic variables a
+ * (na): for `most` of a source. Infinite where directions share multipliers, so that this is not told. */
 PH_API double ph_mode_held(const ph_switches *switches, const ph_mode_rows *mode, const double *a, int j);
 /* The present mode; NULL after its source had none. */
 PH_API const ph_mode *ph_modes_present(ph_modes *m);

@@ -44,7 +44,7 @@ struct ph_modes {
     int *rows, *columns;    /* nx+na */
 };
 
-/* Where the results of the rates stand in m->rates; matrices by columns. */
+/* Places of the results of the rates in m->rates; matrices by columns. */
 typedef struct ph_rates {
     const double *f, *fx, *fa, *g, *gx, *ga, *c, *cx, *ca, *gap, *mass;
 } ph_rates;

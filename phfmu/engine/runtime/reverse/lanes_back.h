@@ -5,7 +5,7 @@
 #include "lanes.h"
 #include "schur_back.h"
 
-/* Where a loop over instances finds and leaves its values; lengths as in ph_work. */
+/* Arguments and results of a loop over instances; lengths as in ph_work. */
 typedef struct ph_back_sweep {
     const ph_schur *c;
     double h;

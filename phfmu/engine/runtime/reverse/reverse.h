@@ -65,7 +65,7 @@ PH_API double *ph_reverse_bars(ph_reverse *r);
 PH_API int ph_reverse_by_schur(const ph_reverse *r);
 /* Back over parts of steps, from the last one; *at: the start of one that has no derivative. */
 PH_API int ph_reverse_steps(ph_reverse *r, const ph_parts *parts, const ph_row_bars *told, double *at);
-/* What holds at the present time of the instance: `bar` n x (na + nq + nobs + ncomp). */
+/* The way back from values at the present time of the instance: `bar` n x (na + nq + nobs + ncomp). */
 PH_API int ph_reverse_instant(ph_reverse *r, const double *bar);
 
 #endif

@@ -152,8 +152,8 @@ static int part_back(ph_reverse *r, int measure, const double *bar, double part,
     return PH_OK;
 }
 
-/* The same over a part of a step that moves: it begins at `from` of the step's start and is `share` of its
- * length, so that it moves with both. */
+/* The way back over a part of a step that moves: it begins at `from` of the step's start and is `share` of
+ * its length, so that it moves with both. */
 static int moving_back(ph_reverse *r, int measure, const double *bar, double share, double from, int tells) {
     const ph_bars bars = bars_of(r, measure), *at = &bars;
     double *t = at->x + r->in->model->step->nx, before = *t, length = 0.0;

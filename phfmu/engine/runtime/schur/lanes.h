@@ -193,7 +193,7 @@ typedef struct ph_work {
     ph_lane multiply[PH_LANES];
 } ph_work;
 
-/* Where a sweep finds and leaves its values. */
+/* Arguments and results of a sweep. */
 typedef struct ph_sweep {
     const ph_schur *c;
     int carry;

@@ -26,7 +26,7 @@ typedef struct ph_elimination {
     const double *product_sign; /* 1 or -1 */
 } ph_elimination;
 
-/* What a function of the Schur stepper gives, in the order of evaluation. */
+/* Kinds of functions of the Schur stepper, in the order of evaluation. */
 typedef enum ph_lane_kind {
     PH_LANE_CONSTRAINT, /* gradient and its derivative along v */
     PH_LANE_STRAIN,     /* gradient and stresses */
@@ -52,7 +52,7 @@ typedef struct ph_lane_group {
     const int *settled; /* ntile+1: rows whose degrees of freedom are done with it */
 } ph_lane_group;
 
-/* What the Schur stepper needs beside the plan: degree of freedom d has the states position[d] and
+/* Tables of the Schur stepper beside the plan: degree of freedom d has the states position[d] and
  * velocity[d]; a coordinate is the difference of two of them. Rows are constraints, then strains, with the
  * coordinates row_ptr[r].., and one gradient slot for each of them. A tile is a stretch of degrees of freedom
  * that goes through all loops of a sweep while it is in the cache. */

@@ -1,4 +1,4 @@
-/* Members that land as one composed declaration: landing/switching.py in C. At an instant they are one:
+/* Members that land as one composed declaration: landing/composed_lander.py in C. At an instant they are one:
  * guards, modes and jumps are those of its model, which takes no step; steps are those of the network, whose
  * rows are those of the present mode. */
 #include "composed_lander.h"

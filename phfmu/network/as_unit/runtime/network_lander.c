@@ -1,5 +1,6 @@
-/* Members that all land on state events together: landing/together.py in C. Guards are those of a model that
- * has the states of the members with events side by side; it takes no step, steps are those of the network.
+/* Members that all land on state events together: landing/coupled_lander.py in C. Guards are those of a model
+ * that has the states of the members with events side by side; it takes no step, steps are those of the
+ * network.
  */
 #include "network_lander.h"
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from phfmu.declare.phdae import PHDAE
 from phfmu.network.compose import compose
-from phfmu.network.couplings.choice.apart import Apart
+from phfmu.network.couplings.choice.partitioned_network import PartitionedNetwork
 from phfmu.network.junction import End, Junction
 from phfmu.network.network import Network
 from phfmu.network.wires import Wire, in_order
@@ -32,7 +32,7 @@ def gathered(network: Network, apart: Collection[str] = ()) -> Network:
 
     Members that exchange impulses with others stay apart, too: a composed member could not take them at its ports.
     """
-    bare = Apart(network)
+    bare = PartitionedNetwork(network)
     inside = _inside(network, apart, bare) if network.units else set()
     if not inside:
         return network
@@ -68,7 +68,7 @@ def composed_words(network: Network) -> str:
 
 def junction_words(network: Network) -> dict[str, str]:
     """Junction -> what its members exchange with --coupling newton, or that it is composed."""
-    words = Apart(gathered(network)).exchanged()
+    words = PartitionedNetwork(gathered(network)).exchanged()
     return {j.name: f"newton: {words[j.name]}" if j.name in words else "composed" for j in network.junctions}
 
 
@@ -76,7 +76,7 @@ def _members(junction: Junction) -> set[str]:
     return {e.member for e in junction.ends}
 
 
-def _inside(network: Network, apart: Collection[str], bare: Apart) -> set[str]:
+def _inside(network: Network, apart: Collection[str], bare: PartitionedNetwork) -> set[str]:
     """Members to compose: declared ones that meet another one, none of which exchanges impulses with what is outside."""
     own = set(network.declared) - set(apart)
     taking = apart or any(p.impulses for u in network.units.values() for p in u.port_maps)

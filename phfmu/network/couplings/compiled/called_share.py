@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.engine.native.structures import Structures
-from phfmu.network.couplings.compiled.master_pattern import Part, Told
+from phfmu.network.couplings.compiled.master_pattern import MemberRows, ShareTables
 from phfmu.network.members.engine_member import EngineMember
-from phfmu.network.members.stepped_last import SteppedLast
+from phfmu.network.members.predicted_member import PredictedMember
 from phfmu.outcome.status import EndRequested, Status, StepFailure
 
 Array = NDArray[Any]
@@ -36,12 +36,12 @@ EXCHANGED = "exchanged"
 class CalledShare:
     """`values`: fields of `ph_share` that belong to the member."""
 
-    def __init__(self, part: Part, memory: Structures, lib: ctypes.CDLL):
+    def __init__(self, part: ShareTables, memory: Structures, lib: ctypes.CDLL):
         self._part, self._member = part, part.member
         self._error: BaseException | None = None
         self._blocked, self._state = False, None
         #: whether its steps are put off, so that others step against a prediction
-        self._late = isinstance(part.member, SteppedLast)
+        self._late = isinstance(part.member, PredictedMember)
         #: what is told of each step
         self._rows: list[dict[str, Any]] = []
         #: pairs that books of its own could tell otherwise than the values that were exchanged, and their inputs
@@ -68,7 +68,7 @@ class CalledShare:
         self._dy, self._dend = values["dy"], values["dend"]
 
     def _called(self, name: str) -> Callable[..., int]:
-        """As C calls it; what C holds does not keep the member, whose unit may be the only one of its process."""
+        """Return the method `name` as C calls it; the reference is weak, as a unit may be the only one of its process."""
         own = ref(self)
 
         def call(_: int, *args: Any) -> int:
@@ -183,17 +183,17 @@ class CalledShare:
     def failure(self) -> BaseException | None:
         return self._error
 
-    def told(self, rows: Array, t: float, h: float) -> Told:
-        """What was read of its steps."""
+    def told(self, rows: Array, t: float, h: float) -> MemberRows:
+        """Rows of the steps, as they were read from the member at the end of each."""
         own = self._rows[: len(rows)]
         columns, H, ends = (np.array([r[n] for r in own]) for n in ("columns", "H", "ends"))
         missed = np.array([r["missed"] for r in own]) if self._late else None
         books = {n: np.array([r["book"][n] for r in own]) for n in own[0]["book"]}
         events = tuple((i, e) for i, r in enumerate(own) for e in r["events"])
-        return Told(columns, H, ends, books, events, missed)
+        return MemberRows(columns, H, ends, books, events, missed)
 
 
-def _held_against(part: Part) -> dict[int, int]:
+def _held_against(part: ShareTables) -> dict[int, int]:
     """Pairs of a member's books -> its inputs, of a member that is neither stepped here nor a unit, keeps books, and takes no
     impulses.
     """

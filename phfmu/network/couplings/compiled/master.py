@@ -20,17 +20,23 @@ from phfmu.gradients.quadrature import nodes
 from phfmu.network.couplings.acceptance import ACCEPTED
 from phfmu.network.couplings.compiled.called_share import EXCHANGED, CalledShare
 from phfmu.network.couplings.compiled.master_library import HEADER, START_TRIALS, library
-from phfmu.network.couplings.compiled.master_pattern import Exchanged, Part, Pattern, Told, exchanged
-from phfmu.network.couplings.compiled.shares import Make, Own, own_share, watched
-from phfmu.network.couplings.compiled.solvers import Solver, Tables, solver_of
-from phfmu.network.couplings.compiled.threads import Pace, crew
+from phfmu.network.couplings.compiled.master_pattern import (
+    ExchangeTables,
+    MasterPattern,
+    MemberRows,
+    ShareTables,
+    exchange_tables,
+)
+from phfmu.network.couplings.compiled.shares import ShareMaker, ShareMemory, own_share, watched
+from phfmu.network.couplings.compiled.solvers import MasterSolver, SolverTables, solver_of
+from phfmu.network.couplings.compiled.threads import ThreadNumber, crew
 from phfmu.network.couplings.coupling import Coupling, Solution, Unconverged
 from phfmu.network.couplings.newton import Newton
-from phfmu.network.couplings.signals.held_signals import HeldSignals
-from phfmu.network.couplings.unconverged import Accepting, plain
-from phfmu.network.interface.end_sums import EndSums
-from phfmu.network.interface.instant import Instant, regular
-from phfmu.network.interface.joined import Joined
+from phfmu.network.couplings.signals.sampled_signals import SampledSignals
+from phfmu.network.couplings.unconverged import AcceptingPolicy, plain
+from phfmu.network.interface.coupled_members import CoupledMembers
+from phfmu.network.interface.instant import InstantSolver, regular
+from phfmu.network.interface.junction_values import JunctionValues
 from phfmu.network.members.member import Member
 from phfmu.outcome.status import Status, StepFailure
 from phfmu.outcome.steps import StepEvent, Steps
@@ -49,20 +55,20 @@ class Master:
 
     def __init__(
         self,
-        joined: Joined,
+        joined: CoupledMembers,
         coupling: Coupling,
-        found: Exchanged,
-        makes: Sequence[Make],
+        found: ExchangeTables,
+        makes: Sequence[ShareMaker],
         works: bool = False,
         threads: int | None = None,
-        signals: HeldSignals | None = None,
+        signals: SampledSignals | None = None,
     ):
         self.joined, self.coupling, self.found, self._works = joined, plain(coupling), found, works
-        self._keeps = isinstance(coupling, Accepting)
+        self._keeps = isinstance(coupling, AcceptingPolicy)
         #: why the last call did not take all of its steps;  whether the member that refused takes the step when asked again
         self.refusal: BaseException | None = None
         self.passing = False
-        self._pattern, self.memory = Pattern(found), Structures(HEADER)
+        self._pattern, self.memory = MasterPattern(found), Structures(HEADER)
         self._lib = library()
         self._inputs, self._shares = list[Array](), list[dict[str, Any]]()
         #: held signals that members take but by ports, as they are now
@@ -71,12 +77,12 @@ class Master:
         #: whether some are stepped in Python, by one thread
         self.calls = any(isinstance(own, CalledShare) for own in self._own)
         #: threads used last
-        self.pace, self.threads = Pace(len(found.parts), 1 if self.calls else threads), 1
+        self.thread_number, self.threads = ThreadNumber(len(found.parts), 1 if self.calls else threads), 1
         self._signals, self._held = signals, None if signals is None else self._held_wires(signals)
         shares = [self._share(i, own) for i, own in enumerate(self._own)]
-        tables = Tables(joined, found, self._pattern, self.memory, self._lib, np.zeros(found.size))
+        tables = SolverTables(joined, found, self._pattern, self.memory, self._lib, np.zeros(found.size))
         self._z = tables.z
-        self._solver: Solver = solver_of(self.coupling)(self.coupling, tables)
+        self._solver: MasterSolver = solver_of(self.coupling)(self.coupling, tables)
         #: the solution and length of the last step that was taken here, which the memory of the loop goes on from
         self._left: tuple[Solution, float] | None = None
         #: steps that were taken here;  rules of the iteration (`ph_rules`)
@@ -85,22 +91,24 @@ class Master:
         self._struct = self.memory.fill("ph_master", self._values())
         self._lib.ph_master_lu_init(ctypes.addressof(self._struct))
 
-    def advance(self, last: Solution, sums: EndSums, grid: tuple[float, float, int], n: int) -> tuple[Steps, Solution]:
-        """As many of n steps k = first.. from t0 + k h (grid: t0, h, first) as are accepted, and where the next goes on from.
+    def advance(
+        self, last: Solution, sums: JunctionValues, grid: tuple[float, float, int], n: int
+    ) -> tuple[Steps, Solution]:
+        """Take n steps k = first.. from t0 + k h (grid: t0, h, first); the accepted ones, and the solution at their end.
 
-        `refusal` says why these are not all.
+        `refusal` is the failure that ended them early, None if all were accepted.
         """
         t0, h, first = grid
         parts, self.refusal = list[Steps](), None
         while n:
-            k, self.threads = self.pace.part(n)
+            k, self.threads = self.thread_number.part(n)
             steps, last = self._advance(last, sums, (t0, h, first), k)
             if len(steps.H):
                 parts.append(steps)
             first, n = first + k, n - k if len(steps.H) == k else 0
         return Steps.joined(parts) if parts else Steps.stacked([]), last
 
-    def recorded(self, sums: EndSums, t: float, h: float, steps: Steps) -> Steps:
+    def recorded(self, sums: JunctionValues, t: float, h: float, steps: Steps) -> Steps:
         """The record of the one step that was taken last, from t by h, read again from members that have changed since."""
         for own in self._own:
             own.begin(1)
@@ -175,7 +183,9 @@ class Master:
             struct.clock = ctypes.addressof(clock)
         return spent
 
-    def _advance(self, last: Solution, sums: EndSums, grid: tuple[float, float, int], n: int) -> tuple[Steps, Solution]:
+    def _advance(
+        self, last: Solution, sums: JunctionValues, grid: tuple[float, float, int], n: int
+    ) -> tuple[Steps, Solution]:
         t0, h, first = grid
         e, s = self.found, self._struct
         next_ = self._begin(last, h)
@@ -189,13 +199,13 @@ class Master:
         works = np.empty((n, e.size)) if self._works else None
         s.xi, s.trials, s.accepted = xi.ctypes.data, trials.ctypes.data, accepted.ctypes.data
         s.work = None if works is None else works.ctypes.data
-        s.cost = self.pace.cost.ctypes.data if self.pace.measures else None
+        s.cost = self.thread_number.cost.ctypes.data if self.thread_number.measures else None
         samples = self._begin_held(n)
         done, spent = self._run(grid, n, next_)
         if self._signals and self._held and samples is not None:
             self._signals.took(samples[:done], self._before if self._held.known else None, self._held.last)
         self.taken += done
-        self.pace.took(self.threads, done, np.maximum(trials[:done], 1), spent)
+        self.thread_number.took(self.threads, done, np.maximum(trials[:done], 1), spent)
         t = t0 + (first + done) * h
         self.refusal = self._refused(t, h) if done < n else None
         if done == 0:
@@ -241,11 +251,13 @@ class Master:
             return 1
         return int(self._solver.begin(self._struct, last, h))
 
-    def _told(self, members: list[Array], t: float, h: float) -> list[Told]:
+    def _told(self, members: list[Array], t: float, h: float) -> list[MemberRows]:
         """Fields of the rows of all members, of steps from t."""
         return [own.told(m, t, h) for own, m in zip(self._own, members, strict=True)]
 
-    def _steps(self, members: list[Told], xi: Array, end: Array, sums: EndSums, h: float) -> dict[str, Any]:
+    def _steps(
+        self, members: list[MemberRows], xi: Array, end: Array, sums: JunctionValues, h: float
+    ) -> dict[str, Any]:
         """Fields of `Steps` from what was recorded."""
         signals = [*(m.columns for m in members), xi, sums.of_rows(end, np.hstack([m.ends for m in members]))]
         rows = {"signals": np.hstack(signals), "H": np.hstack([m.H for m in members])}
@@ -254,7 +266,7 @@ class Master:
             rows[EXCHANGED] = np.hstack([m.books.get(EXCHANGED, m.books["pairs"]) for m in members])
         return rows | {"events": tuple(self._events(members))}
 
-    def _events(self, members: list[Told]) -> list[tuple[int, StepEvent]]:
+    def _events(self, members: list[MemberRows]) -> list[tuple[int, StepEvent]]:
         """Events within the steps, by number of the step and in order of time; energies by component of all."""
         n, found = len(self.joined.booking.components), list[tuple[int, StepEvent]]()
         for part, m in zip(self.found.parts, members, strict=True):
@@ -265,7 +277,7 @@ class Master:
                 found.append((i, replace(e, energy=energy, lost=lost)))
         return sorted(found, key=lambda f: (f[0], f[1].t))
 
-    def _estimated(self, members: list[Told], xi: Array, h: float) -> list[Array]:
+    def _estimated(self, members: list[MemberRows], xi: Array, h: float) -> list[Array]:
         """Energies at junctions that predictions of members miss, by column [J], if there are such members."""
         if not self.joined.put_off:
             return []
@@ -304,7 +316,7 @@ class Master:
         )  # fmt: skip
 
     def _at(self, row: int) -> str:
-        """Where in the step a row is."""
+        """Place of a row in the step, in words."""
         if row >= self.found.nodes:
             return " at the end of the step"
         column = self.found.column[row]
@@ -335,14 +347,14 @@ class Master:
         try:
             self.joined.apply(xi)
             regular(self.joined, self.joined.instant_matrix(xi))
-            Instant().solve(self.joined, xi, t)
+            InstantSolver().solve(self.joined, xi, t)
         except (StepFailure, ValueError) as error:
             return error
         return StepFailure(status, self.joined.network.name, t, h, joined=True, tried="the junctions at one instant")
 
     # -- structures -----------------------------------------------------------------------------------------------
 
-    def _share(self, i: int, own: Own) -> Any:
+    def _share(self, i: int, own: ShareMemory) -> Any:
         part = self.found.parts[i]
         nu, kn, all_ = part.nu, part.k * part.nu, part.directions
         self._inputs.append(np.zeros(kn))
@@ -370,7 +382,7 @@ class Master:
         free = self.joined.free[self.joined.places[i]]
         return free.ctypes.data if self.found.parts[i].nu == len(free) else np.zeros(self.found.parts[i].nu)
 
-    def _held_wires(self, signals: HeldSignals) -> Any:
+    def _held_wires(self, signals: SampledSignals) -> Any:
         e, joined, wires = self.found, self.joined, signals.held
         own = {m.name: i for i, m in enumerate(joined.members)}
         first, n = [p.start for p in joined.places], len(wires)
@@ -452,7 +464,7 @@ class Master:
         }  # fmt: skip
 
 
-def _jump_entries(part: Part, found: Exchanged) -> Array:
+def _jump_entries(part: ShareTables, found: ExchangeTables) -> Array:
     """Places of the S of a member among the blocks of all clusters, -1: at no bare node."""
     cluster = np.searchsorted(found.cluster, part.bare, "right") - 1
     at = np.where(part.bare >= 0, part.bare - found.cluster[cluster], -1)
@@ -461,7 +473,7 @@ def _jump_entries(part: Part, found: Exchanged) -> Array:
     return np.where((at[:, None] >= 0) & (at >= 0), entries, -1).astype(np.int32).ravel()
 
 
-def column_names(joined: Joined, coupling: Coupling) -> Sequence[str]:
+def column_names(joined: CoupledMembers, coupling: Coupling) -> Sequence[str]:
     """Names of junction variables, then of signals and unknowns of relations that are exchanged at nodes."""
     exchange = coupling.exchange if isinstance(coupling, Newton) else None
     return exchange.names if exchange else joined.face.names
@@ -472,12 +484,12 @@ def _padded(values: Array, n: int) -> Array:
 
 
 def master(
-    joined: Joined,
+    joined: CoupledMembers,
     coupling: Coupling,
     works: bool = False,
     threads: int | None = None,
-    signals: HeldSignals | None = None,
-    share: Callable[[Member], Make] | None = None,
+    signals: SampledSignals | None = None,
+    share: Callable[[Member], ShareMaker] | None = None,
 ) -> Master:
     """The compiled steps of members under a coupling; what is done with steps that do not converge is asked of its policy.
 
@@ -489,7 +501,7 @@ def master(
     """
     makes = [(share or own_share)(m) for m in joined.members]
     held = signals.held if signals else ()
-    found = exchanged(joined, plain(coupling), held)
+    found = exchange_tables(joined, plain(coupling), held)
     try:
         return Master(joined, coupling, found, makes, works, threads, signals)
     except StructurallySingular as error:

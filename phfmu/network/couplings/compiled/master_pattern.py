@@ -15,8 +15,8 @@ from phfmu.gradients.quadrature import nodes
 from phfmu.network.couplings.coupling import Coupling
 from phfmu.network.couplings.newton import Newton
 from phfmu.network.interface.bare_columns import Clusters
-from phfmu.network.interface.exchange import Exchange, Share
-from phfmu.network.interface.joined import Joined
+from phfmu.network.interface.coupled_members import CoupledMembers
+from phfmu.network.interface.unknowns import InterfaceUnknowns, MemberUnknowns
 from phfmu.network.members.member import Member
 from phfmu.network.members.node_values import HeldNodes, NodeValues
 from phfmu.network.wires import Wire
@@ -28,7 +28,7 @@ Ints = NDArray[np.int32]
 
 
 @dataclass(frozen=True)
-class Part:
+class ShareTables:
     """The lists of `ph_share` for a member."""
 
     values: NodeValues
@@ -68,7 +68,7 @@ class Part:
 
 
 @dataclass(frozen=True)
-class Told:
+class MemberRows:
     """Rows of a member, one a step: its columns, stored energies, outputs at the end, and its ledger.
 
     events: numbers of steps, and what happened in them;  missed: outputs less those that the step was found with
@@ -83,10 +83,10 @@ class Told:
 
 
 @dataclass(frozen=True)
-class Exchanged:
+class ExchangeTables:
     """The lists of `ph_master` for all members; bare columns stand cluster by cluster, `place`: of each in the exchange."""
 
-    parts: list[Part]
+    parts: list[ShareTables]
     columns: int
     weights: Array
     at_ends: Array
@@ -123,7 +123,7 @@ class Exchanged:
         return np.concatenate([np.arange(self.nodes), at, at + len(self.bare)]).astype(np.int32)
 
 
-def exchanged(joined: Joined, coupling: Coupling, held: Sequence[Wire] = ()) -> Exchanged:
+def exchange_tables(joined: CoupledMembers, coupling: Coupling, held: Sequence[Wire] = ()) -> ExchangeTables:
     """The exchange of members under a coupling; `held`: signals that are held over a step."""
     if e := _exchange(coupling):
         shares, columns, C, weights, k, bare = e.shares, e.columns, e.C, e.weights, e.counts, e.bare
@@ -143,7 +143,7 @@ def exchanged(joined: Joined, coupling: Coupling, held: Sequence[Wire] = ()) -> 
     bare = np.asarray(bare, np.int32)[place]
     least = 1e-12 * np.concatenate([nominal, joined.face.row_nominal[bare]])
     to, from_, values = _ahead(k)
-    return Exchanged(
+    return ExchangeTables(
         [_part(s, where, len(columns), *_held_signals(joined, s.values.member, held)) for s in shares],
         len(k), weights, at_ends, at_starts, columns.astype(np.int32), bare, place,
         skew.row.astype(np.int32), skew.col.astype(np.int32), skew.data,
@@ -153,12 +153,12 @@ def exchanged(joined: Joined, coupling: Coupling, held: Sequence[Wire] = ()) -> 
     )  # fmt: skip
 
 
-def _exchange(coupling: Coupling) -> Exchange | None:
-    """Of node values; None: one held value each."""
+def _exchange(coupling: Coupling) -> InterfaceUnknowns | None:
+    """Unknowns of a coupling that exchanges node values; None where each input is one held value."""
     return coupling.exchange if isinstance(coupling, Newton) else None
 
 
-def _wires(joined: Joined, coupling: Coupling) -> tuple[Ints, Array]:
+def _wires(joined: CoupledMembers, coupling: Coupling) -> tuple[Ints, Array]:
     exchange = _exchange(coupling)
     numbers = exchange.wires if exchange else []
     own, found = {m.name: i for i, m in enumerate(joined.members)}, [joined.network.wires[i] for i in numbers]
@@ -173,10 +173,12 @@ def _wires(joined: Joined, coupling: Coupling) -> tuple[Ints, Array]:
     return np.array(rows, np.int32).reshape(-1, 4), np.array([w.factor for w in found])
 
 
-def _held(member: Any, place: slice, own: Any, P: Array) -> Share:
+def _held(member: Any, place: slice, own: Any, P: Array) -> MemberUnknowns:
     fed = np.flatnonzero(P.any(axis=1)).tolist()
     none = np.zeros((0, 0))
-    return Share(HeldNodes(member), place, own, P, P.T, np.zeros(0, int), none, np.zeros((len(P), 0)), fed, fed)
+    return MemberUnknowns(
+        HeldNodes(member), place, own, P, P.T, np.zeros(0, int), none, np.zeros((len(P), 0)), fed, fed
+    )
 
 
 def _ahead(k: Array) -> tuple[Ints, Ints, Array]:
@@ -192,13 +194,13 @@ def _ahead(k: Array) -> tuple[Ints, Ints, Array]:
     return np.concatenate(to).astype(np.int32), np.concatenate(from_).astype(np.int32), np.concatenate(values)
 
 
-def _held_signals(joined: Joined, member: Member, held: Sequence[Wire]) -> tuple[list[str], list[str]]:
+def _held_signals(joined: CoupledMembers, member: Member, held: Sequence[Wire]) -> tuple[list[str], list[str]]:
     told = dict.fromkeys(w.output for w in held if w.source == member.name)
     taken = (w.input for w in held if w.target == member.name and (w.target, w.input) not in joined.taken)
     return list(told), list(dict.fromkeys(taken))
 
 
-def _part(s: Share, where: Array, n: int, told: list[str], taken: list[str]) -> Part:
+def _part(s: MemberUnknowns, where: Array, n: int, told: list[str], taken: list[str]) -> ShareTables:
     """`where`: each bare column stands, `n`: unknowns at nodes."""
     rule = s.values.rule
     kicks, own, inputs = len(s.Q) if s.kicked else 0, s.own, np.array(s.fed_rows, np.int32)
@@ -220,7 +222,7 @@ def _part(s: Share, where: Array, n: int, told: list[str], taken: list[str]) -> 
             ]
         left += [(len(s.to) + i, len(own) + c, s.ends[i, c]) for i, c in np.argwhere(s.ends)]
     col = np.concatenate([own, n + mine, n + len(where) + mine])
-    return Part(
+    return ShareTables(
         s.values, len(s.to) // rule.k, rule.k, rule.b, inputs, kicks, bare, kicked, outputs,
         col.astype(np.int32), col[: len(own) + len(mine)].astype(np.int32),
         *(np.array([r[i] for r in right], kind) for i, kind in enumerate((np.int32, np.int32, float))),
@@ -229,13 +231,13 @@ def _part(s: Share, where: Array, n: int, told: list[str], taken: list[str]) -> 
     )  # fmt: skip
 
 
-class Pattern:
+class MasterPattern:
     """The interface matrix by columns, its elimination order, and where the entries of each part of it are.
 
     StructurallySingular
     """
 
-    def __init__(self, e: Exchanged):
+    def __init__(self, e: ExchangeTables):
         n, nb = e.size, len(e.bare)
         blocks: list[tuple[Array, Array]] = [
             (np.repeat(p.row, len(p.col)), np.tile(p.col, len(p.row))) for p in e.parts

@@ -18,7 +18,7 @@ from phfmu.engine.native.native import NativeInstance
 from phfmu.engine.native.structures import Structures
 from phfmu.network.couplings.compiled.called_share import CalledShare
 from phfmu.network.couplings.compiled.master_library import CALLED
-from phfmu.network.couplings.compiled.master_pattern import Part, Told
+from phfmu.network.couplings.compiled.master_pattern import MemberRows, ShareTables
 from phfmu.network.members.engine_member import EngineMember
 from phfmu.network.members.member import Member
 
@@ -32,7 +32,7 @@ Array = NDArray[Any]
 class NativeShare:
     """`values`: fields of `ph_share` that belong to the member."""
 
-    def __init__(self, part: Part, m: Structures, lib: ctypes.CDLL):
+    def __init__(self, part: ShareTables, m: Structures, lib: ctypes.CDLL):
         self._part = part
         self._member: Any = part.member
         instance = self._member.instance
@@ -83,7 +83,7 @@ class NativeShare:
     def failure(self) -> None:
         """It can always be asked again."""
 
-    def told(self, rows: Array, t: float, h: float) -> Told:
+    def told(self, rows: Array, t: float, h: float) -> MemberRows:
         """Fields of its rows."""
         m, at, books = self._member, self._signals, dict[str, Array]()
         for name in ("stored", "dissipated", "supplied", "numerical", "moved", "pairs"):
@@ -92,10 +92,10 @@ class NativeShare:
             books[name] = m.pairs(found) if name == "pairs" else found
             at += size
         ends = rows[:, self._layout["y_end"]][:, : m.nu]
-        return Told(m.columns(rows[:, : self._signals]), rows[:, self._layout["H"]], ends, books)
+        return MemberRows(m.columns(rows[:, : self._signals]), rows[:, self._layout["H"]], ends, books)
 
 
-class Own(Protocol):
+class ShareMemory(Protocol):
     """The memory of a member's share; `values`: fields of `ph_share`."""
 
     values: dict[str, Any]
@@ -116,16 +116,16 @@ class Own(Protocol):
         """Why it refused the last step, where it knows or cannot be asked again; else it is asked for the step once more."""
         ...
 
-    def told(self, rows: Array, t: float, h: float) -> Told:
+    def told(self, rows: Array, t: float, h: float) -> MemberRows:
         """Fields of its rows, of steps of length h from t."""
         ...
 
 
 #: of a part, where structures are kept, and the library of the master
-Make = Callable[[Part, Structures, ctypes.CDLL], Own]
+ShareMaker = Callable[[ShareTables, Structures, ctypes.CDLL], ShareMemory]
 
 
-def own_share(member: Member) -> Make:
+def own_share(member: Member) -> ShareMaker:
     """The maker of the share of a member: what the master can step itself, and back, it does; others are called back."""
     if not member.saves:
         return CalledShare
@@ -136,7 +136,7 @@ def own_share(member: Member) -> Make:
 
 
 @contextmanager
-def watched(shares: Sequence[Own]) -> Iterator[None]:
+def watched(shares: Sequence[ShareMemory]) -> Iterator[None]:
     """While compiled code steps them, a crash in a unit tells its name."""
     if all(isinstance(s, NativeShare | CalledShare) for s in shares):
         yield
@@ -152,7 +152,7 @@ def watched(shares: Sequence[Own]) -> Iterator[None]:
         exit_guard.current = None
 
 
-def _unit_share(member: Member) -> Make | None:
+def _unit_share(member: Member) -> ShareMaker | None:
     """Runs without units do not load their reader."""
     from phfmu.fmu.importer.access import access
     from phfmu.network.couplings.compiled.unit_share import UnitShare
@@ -162,7 +162,7 @@ def _unit_share(member: Member) -> Make | None:
     if found is None or found.prefix not in CALLED:
         return None
 
-    def make(part: Part, memory: Structures, lib: ctypes.CDLL) -> UnitShare:
+    def make(part: ShareTables, memory: Structures, lib: ctypes.CDLL) -> UnitShare:
         return UnitShare(part, memory, lib, found)
 
     return make

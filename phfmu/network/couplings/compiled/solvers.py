@@ -1,4 +1,4 @@
-"""Which solver of the compiled master each coupling is, where a call starts and what one leaves.
+"""Solvers of the compiled master by coupling: their tables, the start of a call, and the memory that one leaves.
 
 A solver in C (`ph_solver`) remembers what the next step goes on from.  Solutions keep a copy of it, so that
 a run can go on from an earlier step.
@@ -19,11 +19,11 @@ from phfmu.engine.native.structures import Structures
 from phfmu.network.couplings import anderson
 from phfmu.network.couplings.acceptance import ITERATIONS, KNOWN
 from phfmu.network.couplings.anderson import Anderson
-from phfmu.network.couplings.compiled.master_pattern import Exchanged, Pattern
+from phfmu.network.couplings.compiled.master_pattern import ExchangeTables, MasterPattern
 from phfmu.network.couplings.coupling import Coupling, InTurn, Moves, Solution, Starts
 from phfmu.network.couplings.newton import Continuation, Newton
+from phfmu.network.interface.coupled_members import CoupledMembers
 from phfmu.network.interface.hidden import hidden_part
-from phfmu.network.interface.joined import Joined
 from phfmu.network.interface.matrices import assembled
 
 Array = NDArray[Any]
@@ -33,18 +33,18 @@ SAME = 1e-9
 
 
 @dataclass(frozen=True)
-class Tables:
+class SolverTables:
     """The tables that solvers are made of; `z`: the unknowns, which are those of the last step between calls."""
 
-    joined: Joined
-    found: Exchanged
-    pattern: Pattern
+    joined: CoupledMembers
+    found: ExchangeTables
+    pattern: MasterPattern
     memory: Structures
     lib: ctypes.CDLL
     z: Array
 
 
-class Solver(Protocol):
+class MasterSolver(Protocol):
     """A solver of the master.
 
     name:        of the function that tells it, less `ph_solver_`
@@ -72,7 +72,7 @@ class Solver(Protocol):
         ...
 
     def memory(self, struct: Any) -> Any:
-        """What the next step goes on from, after the last one of a call."""
+        """Memory that the next step starts from, after the last step of a call."""
         ...
 
 
@@ -81,7 +81,7 @@ class NewtonSolver:
 
     name, iterations, sweeps, words, failure = "newton", ITERATIONS, 0, "interface Newton", None
 
-    def __init__(self, coupling: Newton, t: Tables):
+    def __init__(self, coupling: Newton, t: SolverTables):
         self._coupling, self._t = coupling, t
         self.held = coupling.exchange is None
         self._found, self._missed = np.zeros(t.found.size), np.zeros((KNOWN, t.found.size))
@@ -110,10 +110,10 @@ class NewtonSolver:
         return Continuation(self._found.copy(), tuple(m.copy() for m in self._missed[: struct.known]))
 
 
-class _Remembering:
-    """What a solver in C goes on from, as it saves it: `ph_solver`."""
+class _MemorySolver:
+    """Solver in C that goes on from a memory of its own, which `ph_solver` saves and loads."""
 
-    _t: Tables
+    _t: SolverTables
     sweeps = 0
 
     def spread(self, xi: Array) -> Array:
@@ -133,13 +133,13 @@ class _Remembering:
         return found
 
 
-class AndersonSolver(_Remembering):
+class AndersonSolver(_MemorySolver):
     """Its differences, which a step may add `anderson.ITERATIONS` to."""
 
     name, held, iterations, failure = "anderson", True, anderson.ITERATIONS, None
     words = "interface iteration with Anderson's acceleration"
 
-    def __init__(self, _: Anderson, t: Tables):
+    def __init__(self, _: Anderson, t: SolverTables):
         self._t, n = t, t.found.nodes
         most = min(anderson.WINDOW, n)
         room = most + anderson.ITERATIONS
@@ -155,12 +155,12 @@ class AndersonSolver(_Remembering):
         self.fields = {"found": nothing, "missed": nothing, "memory": ctypes.addressof(own)}
 
 
-class InTurnSolver(_Remembering):
+class InTurnSolver(_MemorySolver):
     """Groups of members that step one after the other."""
 
     name, held, iterations, words, failure = "in_turn", True, 1, "", None
 
-    def __init__(self, coupling: Any, t: Tables):
+    def __init__(self, coupling: Any, t: SolverTables):
         self._t, e = t, t.found
         n, nshare = e.nodes, len(e.parts)
         groups = _sweeps(coupling, t.joined)
@@ -192,7 +192,7 @@ class CalledSolver:
 
     held, name = True, ""
 
-    def __init__(self, coupling: Any, t: Tables):
+    def __init__(self, coupling: Any, t: SolverTables):
         self._coupling, self._t = coupling, t
         self.sweeps = int(getattr(coupling, "sweeps", 0))
         self.iterations = self.sweeps or int(getattr(coupling, "iterations", ITERATIONS))
@@ -244,7 +244,7 @@ class CalledSolver:
     def memory(self, struct: Any) -> Array:
         return self._rows.copy()
 
-    def _take(self, rule: Callable[[Joined, Array, Array], Array]) -> int:
+    def _take(self, rule: Callable[[CoupledMembers, Array, Array], Array]) -> int:
         """The unknowns by a rule; what it raises ends the step."""
         try:
             self._t.z[:] = rule(self._t.joined, self._t.z.copy(), self._rows.copy())
@@ -260,8 +260,8 @@ def _by_row(n: int, rows: list[Any], width: int) -> tuple[Array, Array]:
     return np.searchsorted(table[:, 0], np.arange(n + 1)), table.T
 
 
-def _sweeps(coupling: Any, joined: Joined) -> list[list[int]]:
-    """The groups of a coupling in turn; ValueError where they are no sweeps over all members."""
+def _sweeps(coupling: Any, joined: CoupledMembers) -> list[list[int]]:
+    """The groups of a coupling in turn; raises ValueError where they are no sweeps over all members."""
     groups, n, name = coupling.groups(joined), len(joined.members), type(coupling).__name__
     every = [i for group in groups for i in group]
     if not every or any(sorted(every[at : at + n]) != list(range(n)) for at in range(0, len(every), n)):

@@ -54,7 +54,7 @@ TRIALS = 2  # of a step, at least
 TRIED = 16  # steps by one thread and by many, of which the faster go on
 
 
-class Pace:
+class ThreadNumber:
     """`cost`: seconds that trials of each member took, of which compiled code adds up the first; `asked`: None chooses.
 
     Parts of a run are the same whatever the threads: where one ends shows in the last bits.
@@ -66,7 +66,7 @@ class Pace:
         self._parts, self._taken = 0, dict[int, float]()
 
     def part(self, n: int) -> tuple[int, int]:
-        """How many of n steps come next, by how many threads."""
+        """Number of steps of the next part, of n that are left, and of the threads that take it."""
         self._parts += 1
         k = min(n, (MEASURED, TRIED, TRIED, n)[min(self._parts, 4) - 1])
         if self._asked is not None:

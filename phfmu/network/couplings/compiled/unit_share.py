@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from phfmu.engine.native.structures import Structures
 from phfmu.fmu.importer.access import Access
 from phfmu.network.couplings.compiled.master_library import HEADER
-from phfmu.network.couplings.compiled.master_pattern import Part, Told
+from phfmu.network.couplings.compiled.master_pattern import MemberRows, ShareTables
 from phfmu.outcome.steps import StepEvent
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ FATAL = 4  # of fmi2Status and fmi3Status
 class UnitShare:
     """`values`: fields of `ph_share` that belong to the member."""
 
-    def __init__(self, part: Part, m: Structures, lib: ctypes.CDLL, access: Access):
+    def __init__(self, part: ShareTables, m: Structures, lib: ctypes.CDLL, access: Access):
         self._part, self._memory, self._access = part, m, access
         self._member: Any = part.member
         self._face = access.values.interface
@@ -187,7 +187,7 @@ class UnitShare:
             return self._member.name, "doStep", (self._struct.time,)
         return self._member.name, function, ()
 
-    def told(self, rows: Array, t: float, h: float) -> Told:
+    def told(self, rows: Array, t: float, h: float) -> MemberRows:
         """Fields of its rows."""
         v, books, first, shape = (
             self._access.values,
@@ -205,7 +205,7 @@ class UnitShare:
         book = self._member.booked(zero | books.named(self._read(rows, books.step)) | {"pairs": pairs})
         ends = np.zeros((len(rows), self._member.nu))
         ends[:, : v.nu] = self._read(rows, v.y_end) * v.output_sign
-        return Told(rows[:, self._columns], H, ends, book, tuple(self._happened(rows, t, h)))
+        return MemberRows(rows[:, self._columns], H, ends, book, tuple(self._happened(rows, t, h)))
 
     def _happened(self, rows: Array, t: float, h: float) -> Iterator[tuple[int, StepEvent]]:
         """Events within the steps, by number of the step."""

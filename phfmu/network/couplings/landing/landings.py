@@ -1,4 +1,4 @@
-"""How coupled members land together: those with plain state events, or, with ideal switches, as one composed declaration."""
+"""Landers of coupled members: of those with plain state events or, with ideal switches, of one composed declaration."""
 
 from __future__ import annotations
 
@@ -7,23 +7,23 @@ from typing import TYPE_CHECKING
 
 from phfmu.network.couplings.coupling import AllSteps, Coupling
 from phfmu.network.couplings.newton import Newton
-from phfmu.network.interface.exchange import Exchange
-from phfmu.network.interface.joined import Joined
+from phfmu.network.interface.coupled_members import CoupledMembers
+from phfmu.network.interface.unknowns import InterfaceUnknowns
 from phfmu.network.members.engine_member import EngineMember
 from phfmu.network.members.relation import RelationInstance
 
 if TYPE_CHECKING:
-    from phfmu.network.couplings.landing.switching import Switching
-    from phfmu.network.couplings.landing.together import Together
+    from phfmu.network.couplings.landing.composed_lander import ComposedLander
+    from phfmu.network.couplings.landing.coupled_lander import CoupledLander
 
 
 def landings(
-    joined: Joined, coupling: Coupling, steps: AllSteps, joined_anew: Callable[[], None]
-) -> tuple[Exchange | None, Together | Switching | None, Switching | None]:
-    """The exchange of members at nodes, how they land together, and the same as one with switches; None for what they do not.
+    joined: CoupledMembers, coupling: Coupling, steps: AllSteps, joined_anew: Callable[[], None]
+) -> tuple[InterfaceUnknowns | None, CoupledLander | ComposedLander | None, ComposedLander | None]:
+    """Unknowns of the exchange at nodes, the lander of the members, and the same if it has switches; None where there is none.
 
     joined_anew: is called after C of the exchange has changed
-    ValueError for a member that has no steps of its own.
+    Raises ValueError for a member that has no steps of its own.
     """
     exchange = coupling.exchange if isinstance(coupling, Newton) else None
     for m in joined.members:
@@ -32,12 +32,12 @@ def landings(
     if exchange is None:
         return None, None, None
     if exchange.whole:
-        from phfmu.network.couplings.landing.switching import Switching
+        from phfmu.network.couplings.landing.composed_lander import ComposedLander
 
-        found = Switching(exchange, steps, joined_anew)
+        found = ComposedLander(exchange, steps, joined_anew)
         return exchange, found, found
     if not (members := exchange.landing()):
         return exchange, None, None
-    from phfmu.network.couplings.landing.together import Together
+    from phfmu.network.couplings.landing.coupled_lander import CoupledLander
 
-    return exchange, Together(joined, exchange.shared, members, steps.solve, steps.save, steps.restore), None
+    return exchange, CoupledLander(joined, exchange.shared, members, steps.solve, steps.save, steps.restore), None

@@ -1,4 +1,4 @@
-/* Signals that are held over a step; held_signals.py has the rule. */
+/* Signals that are held over a step; sampled_signals.py has the rule. */
 #include "held.h"
 
 #include <string.h>

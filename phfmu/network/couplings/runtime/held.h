@@ -1,4 +1,4 @@
-/* Signals between members that are sampled where steps meet and held over a step: held_signals.py. */
+/* Signals between members that are sampled where steps meet and held over a step: sampled_signals.py. */
 #ifndef PH_HELD_H
 #define PH_HELD_H
 

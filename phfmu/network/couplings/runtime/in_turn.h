@@ -10,7 +10,7 @@
 #define PH_INSTANT_ITERATIONS 20
 
 /* Relative change of an input that tells whether outputs follow it, and the part of an output below which a
- * change of it is none. differences.py reads them from here. */
+ * change of it is none. coupled_members.py reads them from here. */
 #define PH_INSTANT_MOVE 1e-3
 #define PH_INSTANT_ROUNDING 1e-13
 

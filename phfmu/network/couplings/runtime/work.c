@@ -1,4 +1,4 @@
-/* What coupled members exchanged in an accepted step, part by part; see works.py. */
+/* What coupled members exchanged in an accepted step, part by part; see junction_works.py. */
 #include "master.h"
 
 /* (S x)_b; the bare columns of a cluster are neighbours. */

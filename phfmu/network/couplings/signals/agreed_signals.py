@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.network.couplings.coupling import Step, Unconverged
-from phfmu.network.couplings.signals.held_signals import HeldSignals
-from phfmu.network.interface.joined import Joined
+from phfmu.network.couplings.signals.sampled_signals import SampledSignals
+from phfmu.network.interface.coupled_members import CoupledMembers
 from phfmu.outcome.status import Status
 
 Array = NDArray[np.float64]
@@ -52,7 +52,7 @@ class SignalsApart:
 
     CARRIED = ("_steps", "_first")
 
-    def __init__(self, signals: HeldSignals):
+    def __init__(self, signals: SampledSignals):
         self._signals, self._steps, self._first = signals, 0, 0.0
 
     def take(self, step: Step, xi: Array) -> None:
@@ -75,7 +75,7 @@ class AgreedSignals:
 
     CARRIED = ("_matrix", "_most", "found")
 
-    def __init__(self, joined: Joined, signals: HeldSignals):
+    def __init__(self, joined: CoupledMembers, signals: SampledSignals):
         self._joined, self._signals = joined, signals
         self._matrix: Array | None = None
         self._most = np.zeros(len(signals.held))

@@ -25,7 +25,7 @@ from phfmu.declare.phdae import PHDAE
 from phfmu.declare.variable import _sx, time
 from phfmu.studies.bench.precision.flat import Flat
 from phfmu.terms.extraction.extract import extract
-from phfmu.terms.hidden import Hidden
+from phfmu.terms.hidden import HiddenConstraints
 from phfmu.terms.term import Terms
 
 Array = NDArray[np.float64]
@@ -121,7 +121,7 @@ def reduced(declaration: PHDAE, *, gamma: float = 20.0, live: Collection[str] = 
     gamma: Baumgarte stabilisation [1/s].  Errors: DeclarationError of the extraction.
     """
     terms = extract(declaration)
-    hidden = terms.found(Hidden)
+    hidden = terms.found(HiddenConstraints)
     system = Flat(declaration, terms)
     f, a = system.right_hand_side(), system.a
     rate = system.rates(f[: terms.n1])
@@ -140,7 +140,7 @@ def reduced(declaration: PHDAE, *, gamma: float = 20.0, live: Collection[str] = 
 
 
 def _algebraic_rows(
-    terms: Terms, hidden: Hidden, system: Flat, h: ca.SX, rate: ca.SX, gamma: float
+    terms: Terms, hidden: HiddenConstraints, system: Flat, h: ca.SX, rate: ca.SX, gamma: float
 ) -> tuple[list[ca.SX], list[ca.SX], ca.SX]:
     """Rows for w, hidden constraints (first derivatives, then positions), and the symbols of rates in w."""
     chosen = sorted(hidden.solved_by.values())

@@ -12,7 +12,7 @@ from phfmu.network.members.interpolant import Interpolant
 Array = NDArray[np.float64]
 
 
-class Followed:
+class PrescribedInputs:
     """`data`: functions of time of inputs in `free`, by name the place among the inputs of all members, and the factor."""
 
     def __init__(self, data: Interpolant, free: Mapping[str, tuple[int, float]]):

@@ -15,8 +15,8 @@ from phfmu.declare.phdae import PHDAE
 from phfmu.declare.variable import _sx
 from phfmu.events.event_plan import at_instant
 from phfmu.network.couplings.newton import Newton
-from phfmu.network.couplings.signals.held_signals import ORDER_OF_EVENTS
-from phfmu.network.interface.bare_columns import Bare, bare
+from phfmu.network.couplings.signals.sampled_signals import ORDER_OF_EVENTS
+from phfmu.network.interface.bare_columns import BareColumns, bare
 from phfmu.network.interface.interface import Interface, interface
 from phfmu.network.interface.relations import bent
 from phfmu.network.members.node_values import DeclaredOffer
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from phfmu.fmu.importer.unit_file import UnitFile
 
 
-class Apart:
+class PartitionedNetwork:
     """A network whose members are stepped apart."""
 
     def __init__(self, network: Network, inside: Collection[str] = ()):
@@ -55,7 +55,7 @@ class Apart:
         return f"{others[0]} has steps of its own" if others else bent(network, network.declared)
 
     def _landing_alone(self, inside: Collection[str]) -> dict[str, str]:
-        """Members whose state events are looked at inside their steps; the rule of `Exchange`, for declarations."""
+        """Members whose state events are looked at inside their steps; the rule of `InterfaceUnknowns`, for declarations."""
         network = self.network
         own = {n: d for n, d in network.declared.items() if d.state_events and not d.switches}
         reading = [n for n, d in own.items() if reads_others(d)]
@@ -154,10 +154,10 @@ class Apart:
         return f"{called} has ideal switches, whose modes change within its step: it takes the mean of its inputs"
 
     @cached_property
-    def _bare(self) -> tuple[Interface, Bare]:
+    def _bare(self) -> tuple[Interface, BareColumns]:
         return self._columns_with_impulses()
 
-    def _columns_with_impulses(self) -> tuple[Interface, Bare]:
+    def _columns_with_impulses(self) -> tuple[Interface, BareColumns]:
         """The columns that carry impulses where members that are not held offer what their declarations, or manifests, say."""
         network = self.network
         offers = {

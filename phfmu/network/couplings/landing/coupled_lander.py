@@ -20,11 +20,11 @@ from phfmu.engine.landing.grid_step import grid_step
 from phfmu.engine.landing.landing import Landing
 from phfmu.engine.landing.locate import Location
 from phfmu.events.event_plan import EventPlan, Settings
-from phfmu.network.interface.joined import Joined
-from phfmu.network.interface.joint_impulse import Fired
+from phfmu.network.interface.coupled_members import CoupledMembers
+from phfmu.network.interface.joint_impulse import FiredEvents
 from phfmu.network.interface.shared_jumps import SharedJumps
 from phfmu.network.members.engine_member import EngineMember
-from phfmu.network.members.happenings import Happenings
+from phfmu.network.members.event_texts import EventTexts
 from phfmu.outcome.steps import StepEvent
 
 Array = NDArray[Any]
@@ -33,7 +33,7 @@ Array = NDArray[Any]
 _NONE: frozenset[int] = frozenset()
 
 
-class Together:
+class CoupledLander:
     """Steps of `members` with state events and of all they are joined with.
 
     joined: all members of the network;  shared: which jumps act on several
@@ -46,7 +46,7 @@ class Together:
 
     def __init__(
         self,
-        joined: Joined,
+        joined: CoupledMembers,
         shared: SharedJumps,
         members: list[EngineMember],
         solve: Callable[[float, float], bool],
@@ -58,9 +58,9 @@ class Together:
             m.together = True
         self._save, self.restore, self._saved, self._in_parts = save, restore, save(), 0
         self._landings = [Landing(m.instance) for m in members]
-        self._words = [Happenings(m.model, m.name) for m in members]
+        self._words = [EventTexts(m.model, m.name) for m in members]
         plans = [m.model.events for m in members]
-        self._plan = _Stacked(members, [p for p in plans if p is not None])
+        self._plan = _StackedGuards(members, [p for p in plans if p is not None])
         k = max(m.model.step.k for m in members)
         #: numbers of the events that happened last and of those that came to rest, among the guards of all members
         self.last: tuple[list[int], list[int]] = [], []
@@ -94,7 +94,7 @@ class Together:
 
     @property
     def counts(self) -> dict[str, int]:
-        """How often steps were halved, by members or by all: such a step has no polynomial."""
+        """Number of steps that were halved, by members or by all: such a step has no polynomial."""
         return {"substeps": self._in_parts + sum(m.instance.counts["substeps"] for m in self.members)}
 
     def step_exactly(self, t: float, h: float) -> None:
@@ -169,11 +169,11 @@ class Together:
         reached, _ = self._shared.reached(start)
         self.anew = {self._joined.members[i].name for i in reached}
         struck = {i for i in own if numbers[i] in reached}
-        fired = {numbers[i]: Fired(self._landings[i].plan, own[i], *decided[i]) for i in struck}
+        fired = {numbers[i]: FiredEvents(self._landings[i].plan, own[i], *decided[i]) for i in struck}
         return struck, self._shared.jump(t, fired)
 
 
-class _Stacked:
+class _StackedGuards:
     """The guards of all members as those of one plan: x = [states of each | t], p = [parameters of each]."""
 
     solves = 0

@@ -14,7 +14,7 @@ import pytest
 from phfmu import Monolithic, NativeInstance, Options, build_model, grid, open_result, run, sweep
 from phfmu.cli import main
 from phfmu.components.library import build
-from phfmu.sweeps.crew import Scheduler
+from phfmu.sweeps.worker_pool import Scheduler
 from tests.wide import wide
 
 FOUR = partial(build, "four_particle")

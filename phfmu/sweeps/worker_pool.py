@@ -1,4 +1,4 @@
-"""Who takes the blocks of runs: threads of this process, or the workers of a Dask cluster."""
+"""Pools of workers that take blocks of runs: threads of this process, or the workers of a Dask cluster."""
 
 from __future__ import annotations
 
@@ -14,34 +14,34 @@ from typing import Any, Protocol
 from numpy.typing import NDArray
 
 from phfmu import __version__
-from phfmu.sweeps.outcome import Outcome
+from phfmu.sweeps.outcome import RunOutcomes
 
 #: hands over runs (n x names) of which the first has this number
-Submit = Callable[[NDArray[Any], int], "Future[Outcome]"]
+Submit = Callable[[NDArray[Any], int], "Future[RunOutcomes]"]
 
 #: seconds after which a scheduler that does not answer is given up
 PATIENCE = 10.0
 
 
 class Runs(Protocol):
-    """Takes one run after the other."""
+    """A runner, which takes one run after the other."""
 
-    def take(self, rows: NDArray[Any], first: int = 0) -> Outcome: ...
+    def take(self, rows: NDArray[Any], first: int = 0) -> RunOutcomes: ...
     def stop(self) -> None: ...
 
 
-class Crew(Protocol):
-    """`size`: how many blocks are taken at a time."""
+class WorkerPool(Protocol):
+    """Workers that take blocks of runs, `size` of them at a time."""
 
     @property
     def size(self) -> int: ...
     def at_work(self, blocks: int) -> Any:
-        """A context manager that gives what submits one of so many blocks; none is begun after its end."""
+        """Return a context manager whose value submits one of so many blocks; no block is begun after its end."""
         ...
 
 
 class Threads:
-    """`make` gives each thread runs of its own; the first ones are made here, which compiles.
+    """Threads of this process, each with the runner that `make` gives it; the first one is made here, which compiles.
 
     The main thread takes none, so that it hears of signals; when it leaves, runs under way end with their present step.
     """
@@ -76,7 +76,7 @@ class Scheduler:
 
 
 class Cluster:
-    """Workers of a Dask cluster; each of their threads has runs of its own, made by what `make` says when it is called there."""
+    """Workers of a Dask cluster; each of their threads has a runner of its own, which `make` gives when it is called there."""
 
     def __init__(self, client: Any, make: Callable[[], Runs]):
         from cloudpickle import dumps  # pyright: ignore[reportMissingImports]
@@ -96,7 +96,10 @@ class Cluster:
 
 @contextmanager
 def cluster(make: Callable[[], Runs], scheduler: Scheduler) -> Iterator[Cluster]:
-    """Connected until the end; ValueError, OSError where there is no scheduler, no worker, or another version of phfmu."""
+    """Yield the pool of a cluster, connected until the end.
+
+    Raises ValueError or OSError if there is no scheduler, no worker, or another version of phfmu.
+    """
     try:
         from distributed import Client  # pyright: ignore[reportMissingImports]
     except ImportError:
@@ -117,7 +120,7 @@ def cluster(make: Callable[[], Runs], scheduler: Scheduler) -> Iterator[Cluster]
 
 
 def _require_workers(client: Any, where: str) -> None:
-    """ValueError if there are none, or with another phfmu than here."""
+    """Raise ValueError if there are no workers, or some with another version of phfmu than here."""
     found: dict[str, Any] = client.run(_version, on_error="return")
     if not found:
         raise ValueError(f"the scheduler at {where} has no workers; start some with: dask worker {where}")
@@ -136,8 +139,8 @@ def _version() -> str:
 _own = local()
 
 
-def take(recipe: bytes, rows: NDArray[Any], first: int) -> Outcome:
-    """Runs on a worker; what takes them is kept in its thread."""
+def take(recipe: bytes, rows: NDArray[Any], first: int) -> RunOutcomes:
+    """Take runs on a worker, by a runner that is kept in its thread."""
     if getattr(_own, "recipe", None) != recipe:
         _own.runs, _own.recipe = pickle.loads(recipe)(), recipe
     return _own.runs.take(rows, first)

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.declare.entries.parameter_limits import declared_limits
-from phfmu.network.interface.joined import Joined
+from phfmu.network.interface.coupled_members import CoupledMembers
 from phfmu.network.members.member import Member
 from phfmu.network.network import Network
 from phfmu.network.wires import Wire
@@ -38,19 +38,19 @@ ORDER_OF_EVENTS = 1
 
 
 @dataclass(frozen=True)
-class _Hop:
+class _WireGroup:
     """Wires that can be sampled together: (member, names, places in the samples) read, then written."""
 
     read: list[tuple[Member, list[str], list[int]]] = field(default_factory=list)
     write: list[tuple[Member, list[str], list[int]]] = field(default_factory=list)
 
 
-class HeldSignals:
-    """The signals of a network; without wires nothing is done.  The samples themselves are `Joined.sampled`."""
+class SampledSignals:
+    """The signals of a network; without wires nothing is done.  The samples themselves are `CoupledMembers.sampled`."""
 
     CARRIED = ("before", "last")
 
-    def __init__(self, joined: Joined, at_nodes: Collection[int] = (), extrapolated: bool = True):
+    def __init__(self, joined: CoupledMembers, at_nodes: Collection[int] = (), extrapolated: bool = True):
         """`at_nodes`: numbers of the wires that are exchanged there;  `extrapolated`: False holds the last sample."""
         self.extrapolated = extrapolated
         network = joined.network
@@ -62,12 +62,12 @@ class HeldSignals:
         self._port = np.array([joined.taken.get((w.target, w.input), -1) for w in self.wires], int)
         #: numbers of the wires that are sampled together
         self.stages = _stages(network.wires)
-        self._hops = [self._hop(numbers) for numbers in self.stages]
+        self._groups = [self._group(numbers) for numbers in self.stages]
         self._numbers = np.flatnonzero(~self._at_nodes)
         #: wires that are held over a step
         self.held = [self.wires[i] for i in self._numbers]
-        self._hop_held = self._hop(self._numbers.tolist())
-        self._held = self._hop_held.write
+        self._held_group = self._group(self._numbers.tolist())
+        self._held = self._held_group.write
         self.any_held = not self._at_nodes.all()
         self.limits = self._low, self._high = _limits(network)
         self._factor, self._offset = (np.array([getattr(w, n) for w in self.wires]) for n in ("factor", "offset"))
@@ -86,10 +86,10 @@ class HeldSignals:
 
     def sample(self, xi: Array) -> None:
         """Outputs at the present time, and with them all inputs, which are now what the network says; xi: of junctions."""
-        for hop in self._hops:
-            for member, names, places in hop.read:
+        for group in self._groups:
+            for member, names, places in group.read:
                 self._now[places] = self._factor[places] * member.read_signals(names) + self._offset[places]
-            self._write(hop.write, self._now, xi)
+            self._write(group.write, self._now, xi)
 
     def forget(self) -> None:
         """Forgets the samples: the next step is not the continuation of the last one."""
@@ -132,7 +132,7 @@ class HeldSignals:
         """Values of the held wires at the present time where they have brought w."""
         found = self._whole(w)
         self._write(self._held, found, xi)
-        for member, names, places in self._hop_held.read:
+        for member, names, places in self._held_group.read:
             found[places] = self._factor[places] * member.read_signals(names) + self._offset[places]
         return found[self._numbers]
 
@@ -175,21 +175,21 @@ class HeldSignals:
         self.rows = []
         self._place(np.flatnonzero(self._port >= 0), self._now)
 
-    def follow(self, other: HeldSignals) -> None:
+    def follow(self, other: SampledSignals) -> None:
         """Goes on from the signals of the same network under another exchange, whose inputs that are free are set already."""
         self._joined.free[self._port[self._at_nodes]] = self._offset[self._at_nodes]
         self.restore(other.state())
 
-    def _hop(self, numbers: Sequence[int]) -> _Hop:
-        hop = _Hop()
-        for side, list_ in (("source", hop.read), ("target", hop.write)):
+    def _group(self, numbers: Sequence[int]) -> _WireGroup:
+        group = _WireGroup()
+        for side, list_ in (("source", group.read), ("target", group.write)):
             # into a member, wires into ports are apart from those into parameters
             keys = [(getattr(self.wires[i], side), side == "target" and self._port[i] >= 0) for i in numbers]
             for name, port in dict.fromkeys(keys):
                 own = [i for i, key in zip(numbers, keys, strict=True) if key == (name, port)]
                 what = [self.wires[i].output if side == "source" else self.wires[i].input for i in own]
                 list_.append((self._members[name], what, own))
-        return hop
+        return group
 
     def _write(self, parts: list[tuple[Member, list[str], list[int]]], values: Array, xi: Array) -> None:
         for member, names, places in parts:

@@ -31,7 +31,7 @@ POOR = 0.5  # an average of misses, relative to the outputs, from which on they 
 FLOOR = 1e-6  # of the largest output: what is below it counts as rest
 
 
-class SteppedLast:
+class PredictedMember:
     """The member `inner`, whose steps are put off until `finish`; response: `rollback.response` to a step of length h."""
 
     finishes, repeated = True, 0.0

@@ -18,17 +18,17 @@ from numpy.typing import NDArray
 from phfmu.discretise.model import build_model
 from phfmu.discretise.within import polynomial_of
 from phfmu.engine.native.native import NativeInstance
-from phfmu.engine.native.native_landing import Lent
+from phfmu.engine.native.native_landing import StepCallbacks
 from phfmu.engine.switched import SwitchedInstance, stepped
 from phfmu.events.modes import Mode
 from phfmu.network.couplings.coupling import AllSteps
 from phfmu.network.couplings.monolithic import Monolithic
-from phfmu.network.interface.exchange import Exchange
-from phfmu.network.interface.joined import Joined
+from phfmu.network.interface.coupled_members import CoupledMembers
+from phfmu.network.interface.unknowns import InterfaceUnknowns
 from phfmu.network.members.engine_member import EngineMember
-from phfmu.network.members.happenings import Happenings
+from phfmu.network.members.event_texts import EventTexts
 from phfmu.network.members.relation import RelationInstance
-from phfmu.outcome.steps import Happened, StepEvent
+from phfmu.outcome.steps import EventRecord, StepEvent
 from phfmu.schemes.collocated import Collocated
 
 if TYPE_CHECKING:
@@ -38,10 +38,10 @@ if TYPE_CHECKING:
 Array = NDArray[Any]
 
 
-class Everyone:
+class ComposedState:
     """The members' states, parameters and free inputs as those of the composed declaration, which has them in the same order."""
 
-    def __init__(self, joined: Joined):
+    def __init__(self, joined: CoupledMembers):
         self.joined = joined
         self.members: list[EngineMember] = [m for m in joined.members if isinstance(m, EngineMember)]
         self._x, self._p = (
@@ -101,24 +101,24 @@ def _present(member: EngineMember) -> Any:
     return member.instance.present if isinstance(member.instance, SwitchedInstance) else member.instance
 
 
-class Switching:
-    """Steps of all members that end on the zeros of guards of the composed declaration; see `Together`, which it is in place of.
+class ComposedLander:
+    """Steps of all members that end on the zeros of guards of the composed declaration, in place of `CoupledLander`.
 
     joined_anew: is called after C of the exchange has changed
     """
 
-    def __init__(self, exchange: Exchange, steps: AllSteps, joined_anew: Callable[[], None]):
+    def __init__(self, exchange: InterfaceUnknowns, steps: AllSteps, joined_anew: Callable[[], None]):
         joined = exchange.joined
         self._exchange, self._joined_anew = exchange, joined_anew
-        self.everyone = Everyone(joined)
+        self.members_state = ComposedState(joined)
         self._steps, self._in_parts, self._saved = steps, 0, steps.save()
-        k = self.everyone.members[0].model.step.k
+        k = self.members_state.members[0].model.step.k
         model = build_model(joined.network.compose(), Collocated(k))
         self.model: Any = model
         #: the composed declaration, in compiled code: it is asked for guards, modes and jumps, and takes no step
         self._whole: Any = stepped(model, NativeInstance)
         self._composed = Monolithic(model, self._whole)
-        self._words = Happenings(model)
+        self._words = EventTexts(model)
         #: numbers of the events that happened last and of those that came to rest
         self.last: tuple[list[int], list[int]] = [], []
         #: names of the members that begin anew with them, whose means are those of the instant: all
@@ -126,7 +126,7 @@ class Switching:
         #: how many guards there are
         self.guards = 0 if model.events is None else model.events.n
         if model.modes is None:
-            self._whole.landing[0].lend(Lent(self, self._whole))
+            self._whole.landing[0].lend(StepCallbacks(self, self._whole))
         else:
             self._whole.native.lend(self)
         names = [n for v in model.declaration.algebraics for n in v.names()]
@@ -139,7 +139,7 @@ class Switching:
         self.told = [
             (m.instance, np.array([at[f"{m.name}.{n}"] for n in m.instance.names], int),
              np.array([observed[f"{m.name}.{n}"] for n in m.model.observable_names], int))
-            for m in self.everyone.members if isinstance(m.instance, RelationInstance)
+            for m in self.members_state.members if isinstance(m.instance, RelationInstance)
         ]  # fmt: skip
 
     @property
@@ -159,17 +159,17 @@ class Switching:
 
     def _follow(self) -> None:
         """The members take the states, parameters and modes that the composed declaration has after an event."""
-        self.everyone.take(self._whole.time, self._whole.x, self._whole.parameters)
+        self.members_state.take(self._whole.time, self._whole.x, self._whole.parameters)
         self._enter()
         self.tell()
-        self.everyone.joined.begin(self.xi)
+        self.members_state.joined.begin(self.xi)
 
     @property
     def held_only(self) -> str:
         """Why no input follows data, and what to do."""
         return (
-            f"{self.everyone.joined.network.name}: inputs of members that land as one composed declaration do not follow data, "
-            "which is not known at the instant of an event; leave out --coupling, so that the network is composed"
+            f"{self.members_state.joined.network.name}: inputs of members that land as one composed declaration do not follow "
+            "data, which is not known at the instant of an event; leave out --coupling, so that the network is composed"
         )
 
     def check_changed(self) -> None:
@@ -182,24 +182,24 @@ class Switching:
         if self.unsettled:
             return None
         found = self._composed.project_start(t, kept)
-        self.everyone.take(t, self._whole.x, self._whole.parameters)
+        self.members_state.take(t, self._whole.x, self._whole.parameters)
         return found
 
     # -- steps of the members, lent to the composed declaration -------------------------------------------------------------
 
     @property
     def halved(self) -> int:
-        return self._in_parts + self.everyone.substeps
+        return self._in_parts + self.members_state.substeps
 
     @property
     def x(self) -> Array:
-        return self.everyone.gathered("x")
+        return self.members_state.gathered("x")
 
     def step(self, t: float, h: float) -> None:
         self._in_parts += not self._steps.solve(t, h)
 
     def inside(self, x: Array, tau: float) -> Array:
-        return self.everyone.polynomial(x, self.everyone.gathered("unknowns"), tau)
+        return self.members_state.polynomial(x, self.members_state.gathered("unknowns"), tau)
 
     def save(self) -> None:
         self._saved = self._steps.save()
@@ -225,7 +225,7 @@ class Switching:
         self._gather()
         self._enter()
         self.tell()
-        self.everyone.joined.begin(self.xi)
+        self.members_state.joined.begin(self.xi)
         return self.xi
 
     def over(
@@ -248,7 +248,7 @@ class Switching:
 
     def _landed(
         self, t: float, end: float, changed: bool, pause: bool
-    ) -> Iterator[tuple[float, float, Happened | None]]:
+    ) -> Iterator[tuple[float, float, EventRecord | None]]:
         if self._whole.model.modes is not None:
             return self._whole.native.to(t, end, changed, pause)
         landing, check = self._whole.landing
@@ -256,8 +256,8 @@ class Switching:
 
     def _gather(self) -> None:
         """Takes what was set at the members."""
-        switched, p, x = self._whole, self.everyone.gathered("parameters"), self.everyone.gathered("x")
-        switched.set_input(self.everyone.free)
+        switched, p, x = self._whole, self.members_state.gathered("parameters"), self.members_state.gathered("x")
+        switched.set_input(self.members_state.free)
         if (p != switched.parameters).any():
             switched.set_parameters(p)
         if (x != switched.x).any():
@@ -280,7 +280,7 @@ class Switching:
     def in_mode(self, mode: Mode) -> None:
         """The rows of relations are those of a mode of all switches, which the states need not be in."""
         p = self.model.modes.modes.system.in_mode(self._whole.parameters, mode)
-        for m, own in zip(self.everyone.members, self.everyone.parameters(p), strict=True):
+        for m, own in zip(self.members_state.members, self.members_state.parameters(p), strict=True):
             if isinstance(m.instance, RelationInstance):
                 m.instance.set_parameters(own)
         self._join(mode)
@@ -290,6 +290,6 @@ class Switching:
         t, now = self._whole.time, self._whole.signals()
         #: junction unknowns at that instant
         self.xi = now["a_end"][self._junction]
-        self.everyone.joined.apply(self.xi)
+        self.members_state.joined.apply(self.xi)
         for instance, a, observed in self.told:
             instance.tell(t, now["a_end"][a], now["observables"][observed])

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array
 
 from phfmu.declare.junction_words import spread_words
-from phfmu.network.interface.hidden import Parted, parted
-from phfmu.network.interface.joined import Joined
+from phfmu.network.interface.coupled_members import CoupledMembers
+from phfmu.network.interface.hidden import RankDecomposition, rank_decomposition
 from phfmu.network.interface.matrices import DENSE
 from phfmu.network.junction import Junction
 from phfmu.network.members.consistent import MONOLITHIC, inconsistent
@@ -31,13 +31,13 @@ CONSISTENT = 1e-7  # a sum below this part of the largest output it is made of, 
 UNIT = 1e-6  # this where all of them are zero
 
 
-class EndSums:
+class JunctionValues:
     """Columns of the present time, as in composed models: `end_names` of the junction unknowns, `checks` of what is hidden.
 
     A check is a sum of joined flows (efforts) or, where outputs must be equal, the difference of one of them from the first.
     """
 
-    def __init__(self, joined: Joined):
+    def __init__(self, joined: CoupledMembers):
         self.joined = joined
         face = joined.face
         self._rows = face.rows_of_sums()
@@ -46,7 +46,7 @@ class EndSums:
         self._gathered = np.concatenate([*self._rows, np.zeros(0, int)]).astype(int)
         self._matrix: Any = None
         self._maps: tuple[Any, Any, Any] | None = None
-        self._parted: Parted | None = None
+        self._decomposition: RankDecomposition | None = None
         self.find(face.start)
         self.end_names = [end_name(n) for n in face.names]
         self._checked, self._against = self._hidden_rows()
@@ -64,8 +64,8 @@ class EndSums:
 
         Of outputs that must be equal the first gives the common variable.
         """
-        assert self._parted is not None
-        hidden = self._parted.hidden.diagonal() > UNIT
+        assert self._decomposition is not None
+        hidden = self._decomposition.hidden.diagonal() > UNIT
         rows, against = list[int](), list[int]()
         for common, own in zip(self.joined.face.commons(), self._rows, strict=True):
             there = [int(i) for i in own if hidden[i]]
@@ -75,7 +75,7 @@ class EndSums:
 
     def forget(self) -> None:
         """After parameters or inputs were set: outputs may follow other unknowns."""
-        self._matrix = self._maps = self._parted = None
+        self._matrix = self._maps = self._decomposition = None
 
     def get_state(self) -> tuple[Array, Array, Array] | None:
         """Rows, columns and entries of M that the columns are made with, of the time when it was asked for; None: of none."""
@@ -110,10 +110,10 @@ class EndSums:
 
     def of_rows(self, xi: Array, y: Array) -> Array:
         """The columns (steps x names) with junction unknowns xi and outputs y under them at ends, a row a step."""
-        assert self._maps is not None and self._parted is not None
+        assert self._maps is not None and self._decomposition is not None
         P, C, Q = self._maps
         r = _by_row(y, P) + _by_row(xi, C)
-        ends = xi + self._parted.answer(r)
+        ends = xi + self._decomposition.answer(r)
         if not self._checked:
             return ends
         left, against = _by_row(r, Q), [i if i != j else -1 for i, j in zip(self._against, self._checked, strict=True)]
@@ -121,7 +121,7 @@ class EndSums:
         return np.hstack([ends, left[:, self._checked] - base])
 
     def left(self, rows: Array) -> Array:
-        """What no junction unknown can change of rows (n x any), once `values` was asked for."""
+        """Part of rows (n x any) that no junction unknown can change, once `values` was asked for."""
         assert self._maps is not None
         return np.asarray(rows.T @ self._maps[2]).T
 
@@ -161,8 +161,8 @@ class EndSums:
 
     def _part(self, M: Any) -> None:
         face, self._matrix = self.joined.face, M
-        self._parted = parted(M, face.nominal)
-        maps = face.P, face.C.T, self._parted.hidden.T
+        self._decomposition = rank_decomposition(M, face.nominal)
+        maps = face.P, face.C.T, self._decomposition.hidden.T
         few = len(face.names) <= DENSE
         self._maps = tuple(m.toarray() for m in maps) if few else tuple(map(csr_array, maps))  # pyright: ignore
 

@@ -14,26 +14,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.audit.booking import PartKey
-from phfmu.network.interface.exchange import Exchange
-from phfmu.network.interface.joined import Joined
+from phfmu.network.interface.coupled_members import CoupledMembers
+from phfmu.network.interface.unknowns import InterfaceUnknowns
 
 Array = NDArray[np.float64]
 
 HELD, START, END, ESTIMATED = "held value", "impulse at start", "impulse at end", "estimated ports"
 
 
-class Works:
+class JunctionWorks:
     """The parts of junctions that have more than one: `keys`, empty where there is no such junction.
 
     `exchange`: of node values, None for one held value each;  `solved`: whether the coupling solves the rows.
     """
 
-    def __init__(self, joined: Joined, exchange: Exchange | None, solved: bool):
+    def __init__(self, joined: CoupledMembers, exchange: InterfaceUnknowns | None, solved: bool):
         self._found = _of_unknowns(joined, exchange) if solved else []
         self._at = {junction: i for i, junction in enumerate(joined.face.sums)}
         self._choose(self._found)
 
-    def share(self, other: Works) -> None:
+    def share(self, other: JunctionWorks) -> None:
         """Both tell the same parts, those that they do not have as zero: they take steps of one run."""
         every = self._found + other._found
         self._choose(every)
@@ -59,9 +59,9 @@ class Works:
         return found
 
 
-def _of_unknowns(joined: Joined, exchange: Exchange | None) -> list[PartKey | None]:
+def _of_unknowns(joined: CoupledMembers, exchange: InterfaceUnknowns | None) -> list[PartKey | None]:
     """The part that each unknown belongs to: xi, then impulses, then columns that estimates are exchanged through."""
-    at = _junctions(joined)
+    at = joined.face.junction_of
     if exchange is None:
         keys: list[PartKey | None] = [PartKey(junction, HELD) for junction in at]
     else:
@@ -76,10 +76,3 @@ def _of_unknowns(joined: Joined, exchange: Exchange | None) -> list[PartKey | No
     last = {m.name for m in joined.put_off}
     estimated = {j.name for j in joined.network.junctions if any(e.member in last for e in j.ends)}
     return [*keys, *(PartKey(j, ESTIMATED) if j in estimated else None for j in at)]
-
-
-def _junctions(joined: Joined) -> list[str]:
-    """The junction of each column of the interface."""
-    starts = [s.start for s in joined.face.sums.values()] + [len(joined.face.names)]
-    names = list(joined.face.sums)
-    return [n for n, a, b in zip(names, starts[:-1], starts[1:], strict=True) for _ in range(b - a)]

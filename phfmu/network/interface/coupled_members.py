@@ -9,6 +9,7 @@ conjugate to them, the equations of all junctions are those of the composed mode
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,21 +17,25 @@ from numpy.typing import NDArray
 
 from phfmu.audit.booking import Booking
 from phfmu.network.compose import require_members
-from phfmu.network.interface.followed import Followed
 from phfmu.network.interface.interface import interface
 from phfmu.network.interface.matrices import assembled, small
+from phfmu.network.interface.prescribed_inputs import PrescribedInputs
 from phfmu.network.junction import junction_unknowns
-from phfmu.network.members.differences import instant_sensitivity
 from phfmu.network.members.member import Member
-from phfmu.network.members.stepped_last import SteppedLast
+from phfmu.network.members.predicted_member import PredictedMember
 from phfmu.network.network import Network
+from phfmu.outcome.limits import defined
 from phfmu.signals import of_member
 from phfmu.words import meant
 
 Array = NDArray[np.float64]
 
+_NUMBERS = defined(Path(__file__).parent.parent / "couplings" / "runtime" / "in_turn.h")
+#: relative change of an input that tells whether outputs follow it;  part of an output below which a change of it is none
+MOVE, ROUNDING = _NUMBERS["INSTANT_MOVE"], _NUMBERS["INSTANT_ROUNDING"]
 
-class Joined:
+
+class CoupledMembers:
     """Stacked: inputs and outputs of all members (nu); `face`: P (nu x n) and C (n x n).  ConnectionError without members."""
 
     CARRIED = ("members", "free", "held", "sampled", "booking")
@@ -40,7 +45,7 @@ class Joined:
         self.network, self.members = network, members
         self.face = interface(network, members)
         #: members whose steps are put off until `finish`
-        self.put_off = [m for m in members if isinstance(m, SteppedLast)]
+        self.put_off = [m for m in members if isinstance(m, PredictedMember)]
         #: relative difference of steps that members take again, which units may have; 0 where all take them to rounding
         self.repeated = max((m.repeated for m in members), default=0.0)
         self.booking = _booking(network, members)
@@ -52,7 +57,7 @@ class Joined:
         self.free = np.concatenate([m.start_inputs() for m in members])
         self.free[self.face.fed] = 0.0
         #: those of U_free that follow data
-        self.followed: Followed | None = None
+        self.followed: PrescribedInputs | None = None
         #: signals that are exchanged at the nodes of steps: as they are now, less the offsets of their wires, which are in free
         self.held = np.zeros(len(self.free))
         #: of each wire the signal as it is now
@@ -136,7 +141,7 @@ class Joined:
         """dr/dxi at the present time, where the inputs are those of xi (n x n, sparse where it is large)."""
         u, parts = self.inputs(xi), []
         for m, place, (own, _) in zip(self.members, self.places, self._reach, strict=True):
-            parts.append(instant_sensitivity(m, u[place]) if len(own) else np.zeros((m.nu, m.nu)))
+            parts.append(_instant_sensitivity(m, u[place]) if len(own) else np.zeros((m.nu, m.nu)))
         return self.matrix(parts)
 
     def states(self, needed: bool = True) -> list[Any]:
@@ -225,6 +230,22 @@ class Joined:
     def end_outputs(self) -> Array:
         """Outputs at the present time (nu)."""
         return np.concatenate([m.end_output() for m in self.members])
+
+
+def _instant_sensitivity(member: Member, u: Array) -> Array:
+    """G = dy/dU (nu x nu) of a member at the present time, by differences; its inputs are u again afterwards."""
+    member.set_input(u)  # what it tells may still be of others
+    base = np.array(member.end_output())
+    G = np.zeros((len(u), len(u)))
+    for j in range(len(u)):
+        moved = u.copy()
+        moved[j] += MOVE * (abs(u[j]) + member.nominal[j])
+        member.set_input(moved)
+        change = np.array(member.end_output()) - base
+        change[np.abs(change) <= ROUNDING * np.abs(base)] = 0.0
+        G[:, j] = change / (moved[j] - u[j])
+    member.set_input(u)
+    return G
 
 
 def _booking(network: Network, members: list[Member]) -> Booking:

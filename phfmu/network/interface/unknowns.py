@@ -28,7 +28,7 @@ from scipy.sparse import block_diag, csr_array, eye_array
 
 from phfmu.gradients.quadrature import nodes
 from phfmu.network.interface.bare_columns import Clusters, bare
-from phfmu.network.interface.joined import Joined
+from phfmu.network.interface.coupled_members import CoupledMembers
 from phfmu.network.interface.relations import Relations, all_together
 from phfmu.network.interface.shared_jumps import SharedJumps
 from phfmu.network.members.engine_member import EngineMember
@@ -41,7 +41,7 @@ Ints = NDArray[np.intp]
 
 
 @dataclass(frozen=True)
-class Share:
+class MemberUnknowns:
     """A member's part: what it reaches of the N unknowns at nodes (own) and of the bare columns (bare), and how.
 
     to: node inputs of its own unknowns (k nu x own);  back: the adjoint (own x k nu);  Q: impulses of its bare columns
@@ -70,13 +70,13 @@ def has_events(member: Member) -> TypeGuard[EngineMember]:
     return isinstance(member, EngineMember) and member.model.events is not None
 
 
-class Exchange:
+class InterfaceUnknowns:
     """Unknowns xi (N): of each column of the interface its k_J values; `bare`: columns with impulses.
 
     `offered`: columns of all junctions whose ports take impulses.
     """
 
-    def __init__(self, joined: Joined):
+    def __init__(self, joined: CoupledMembers):
         self.joined, face = joined, joined.face
         self.shared = SharedJumps(joined)
         #: whether events are those of the composed declaration, by which all members land together
@@ -174,7 +174,7 @@ class Exchange:
         where = np.repeat(self._first[c], k) + node, np.repeat(self._first[d], k) + node
         return csr_array((np.repeat(C.data, k), where), shape=(len(self.columns),) * 2)
 
-    def _share(self, values: NodeValues, i: int, place: slice) -> Share:
+    def _share(self, values: NodeValues, i: int, place: slice) -> MemberUnknowns:
         (columns, P), rule = self.joined.reach(i), values.rule
         own_a = self.relations.of(i)
         if len(own_a):  # what its rows leave is in C
@@ -199,7 +199,7 @@ class Exchange:
         kicked = values.offer.kicked if self.bare and values.offer else []
         mine = self._bare[columns] >= 0
         ends = P[:, mine]
-        return Share(values, place, own, to, back, self._bare[columns[mine]], ends[kicked], ends, fed, rows)
+        return MemberUnknowns(values, place, own, to, back, self._bare[columns[mine]], ends[kicked], ends, fed, rows)
 
     def _at_nodes_both(self, parts: list[NodeValues]) -> list[int]:
         """Numbers of the wires whose ends are ports of members that take and give values at nodes."""
@@ -225,11 +225,7 @@ class Exchange:
         return np.array([c for c, _ in own], int), into, out
 
 
-def columns_k(joined: Joined, k_of: dict[str, int]) -> NDArray[np.int64]:
+def columns_k(joined: CoupledMembers, k_of: dict[str, int]) -> NDArray[np.int64]:
     """k_J per column of the interface."""
-    face = joined.face
-    out = np.ones(len(face.names), int)
-    starts = [s.start for s in face.sums.values()] + [len(face.names)]
-    for j, start, stop in zip(joined.network.junctions, starts[:-1], starts[1:], strict=True):
-        out[start:stop] = min(k_of[e.member] for e in j.ends)
-    return out
+    least = {j.name: min(k_of[e.member] for e in j.ends) for j in joined.network.junctions}
+    return np.array([least[name] for name in joined.face.junction_of], int)
