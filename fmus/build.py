@@ -14,7 +14,7 @@ from pathlib import Path
 
 from phfmu import Model, Scene, build_model, export
 from phfmu.components.library import build
-from phfmu.fmu.export.description import Unit
+from phfmu.fmu.export.description import ExportedUnit
 from phfmu.fmu.version import FMI3
 from phfmu.schemes.named import named_scheme
 
@@ -34,9 +34,9 @@ def model_of(recipe: dict) -> Model:
     return build_model(declaration, scheme)
 
 
-def unit_of(recipe: dict) -> Unit:
+def unit_of(recipe: dict) -> ExportedUnit:
     """What a recipe exports, without a stop time."""
-    return Unit(model_of(recipe), recipe["step"], None, recipe.get("node_inputs", False))
+    return ExportedUnit(model_of(recipe), recipe["step"], None, recipe.get("node_inputs", False))
 
 
 def interface(recipe: dict) -> str:

@@ -19,7 +19,7 @@ class TargetError(ValueError):
 
 
 @dataclass(frozen=True)
-class Call:
+class TargetCall:
     """The function that is called, by its name, and values by place and by name."""
 
     name: str
@@ -41,17 +41,17 @@ class Call:
             raise TargetError(f"{target}: {error}; it is {self.name}{plain} (phfmu info {self.name})") from None
 
 
-def parsed(text: str, target: str) -> Call:
+def parsed(text: str, target: str) -> TargetCall:
     """`chain(n=20, dim=2)` as a call with numbers, texts, True, False, None, and lists of these; TargetError for all else."""
     name, bracket, _ = text.partition("(")
     if not bracket:
-        return Call(name)
+        return TargetCall(name)
     try:
         made = ast.parse(text.strip(), mode="eval").body
         if not isinstance(made, ast.Call) or not isinstance(made.func, ast.Name):
             raise ValueError
         named = {k.arg: ast.literal_eval(k.value) for k in made.keywords if k.arg}
-        return Call(made.func.id, tuple(map(ast.literal_eval, made.args)), named)
+        return TargetCall(made.func.id, tuple(map(ast.literal_eval, made.args)), named)
     except (ValueError, SyntaxError):
         remedy = (
             "write NAME(argument=value, ..) in quotes, values being numbers, texts, True, False, None or lists of these"
@@ -70,7 +70,7 @@ class Argument:
 
 
 def arguments(function: Callable[..., Any], build: Callable[..., Any], given: Mapping[str, Any]) -> list[Argument]:
-    """Those of a function that builds a model, with the values that are `given`, else their defaults.
+    """Arguments of a function that builds a model, with the values that are `given`, else their defaults.
 
     `build(**values)` calls it, with example values for what has no default.
     Units and words are those of the variable of the same name, which what is optional has where it is given; else the
@@ -103,7 +103,7 @@ def _unit(name: str, text: str) -> str:
 
 
 def _variables(build: Callable[..., Any], values: Mapping[str, Any]) -> dict[str, Variable]:
-    """The variables of what is built, by name; of a network or of what cannot be built with these none."""
+    """Variables of the declaration that is built, by name; {} for a network, or if it cannot be built with these values."""
     from phfmu.declare.phdae import PHDAE
 
     try:

@@ -55,7 +55,7 @@ def remains(target: Path) -> list[Path]:
 
 
 def require_writable(target: Path, shown: str) -> None:
-    """ValueError unless a file can be put at `target`: asked before long work, not after it. `shown`: what to call it."""
+    """Raise ValueError unless a file can be put at `target`: asked before long work, not after it. `shown`: what to call it."""
     folder = target.parent
     if not folder.is_dir():
         raise ValueError(f"{shown}: there is no folder '{folder}'; make it first")
@@ -70,7 +70,7 @@ def require_writable(target: Path, shown: str) -> None:
 
 
 def require_folder(folder: Path, shown: str, what: str) -> None:
-    """ValueError unless files can be put into `folder`, which may have to be made; `what`: the files, in words."""
+    """Raise ValueError unless files can be put into `folder`, which may have to be made; `what`: the files, in words."""
     if folder.exists() and not folder.is_dir():
         raise ValueError(f"{shown} is a file; name a folder for {what}")
     above = next(p for p in (folder, *folder.absolute().parents) if p.exists())

@@ -20,7 +20,7 @@ def grid(title: str, head: Sequence[str], rows: Iterable[Sequence[str]], note: s
 
 
 def paragraph(text: str) -> str:
-    """A line of text, nothing for none."""
+    """A paragraph of a line of text, "" for an empty one."""
     return f"<p>{escape(text)}</p>" if text else ""
 
 

@@ -1,9 +1,10 @@
 """Signals that end what is going on: Ctrl-C, SIGTERM and the end of the terminal are heard wherever the time is spent.
 
-Outside of runs such a signal raises at once (`raising`).  A run keeps the first one (`Signals`) until it is between two blocks
-of steps, so that nothing of it is lost; what else may take long on the way, a compiler or a unit in a process of its own, asks
-for it (`check`).  Waits that a handler cannot end are taken in slices of `SLICE` s; where other people's code clears the error
-that a signal raised within it, as conversions of arguments do, it is raised again every `AGAIN` s until something ends by it.
+Outside of runs such a signal raises at once (`raising`).  A run keeps the first one (`DeferredInterrupt`) until it is between
+two blocks of steps, so that nothing of it is lost; what else may take long on the way, a compiler or a unit in a process of its
+own, asks for it (`check`).  Waits that a handler cannot end are taken in slices of `SLICE` s; where other people's code clears
+the error that a signal raised within it, as conversions of arguments do, it is raised again every `AGAIN` s until something ends
+by it.
 """
 
 from __future__ import annotations
@@ -31,8 +32,8 @@ class Interrupted(KeyboardInterrupt):
         self.recorded: dict[str, Any] = {}
 
 
-class Signals:
-    """While entered, the first signal is kept for `check`; a second one ends the run wherever it is.
+class DeferredInterrupt:
+    """Keeps the first signal for `check` while entered; a second one ends the run wherever it is.
 
     A signal that is ignored (nohup) stays so; outside the main thread nothing changes.
     """
@@ -40,9 +41,9 @@ class Signals:
     def __init__(self) -> None:
         self._number: int | None = None
         self._before: dict[int, Any] = {}
-        self._outer: Signals | None = None
+        self._outer: DeferredInterrupt | None = None
 
-    def __enter__(self) -> Signals:
+    def __enter__(self) -> DeferredInterrupt:
         global _current
         self._outer, _current = _current, self
         self._before = _handled(self._take, NAMES)
@@ -55,7 +56,7 @@ class Signals:
             signal.signal(number, handler)
 
     def check(self) -> None:
-        """Interrupted if a signal came."""
+        """Raise Interrupted if a signal came."""
         if self._number is not None:
             raise Interrupted(self._number)
 
@@ -65,18 +66,18 @@ class Signals:
         self._number = number
 
 
-_current: Signals | None = None
+_current: DeferredInterrupt | None = None
 
 
 def check() -> None:
-    """Interrupted in the main thread if a signal came that is kept: for waits that lose nothing of what was accepted."""
+    """Raise Interrupted in the main thread if a signal came that is kept: for waits that lose nothing of accepted steps."""
     if _current is not None and threading.current_thread() is threading.main_thread():
         _current.check()
 
 
 @contextmanager
 def raising() -> Iterator[None]:
-    """The signals raise Interrupted, where nobody else has taken them."""
+    """Let the signals raise Interrupted, where nobody else has taken them."""
     alarm = hasattr(signal, "setitimer")
 
     def take(number: int, _: object) -> None:

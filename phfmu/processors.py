@@ -1,4 +1,4 @@
-"""How many processors there are for this process."""
+"""Number of processors of this process."""
 
 from __future__ import annotations
 
@@ -6,5 +6,5 @@ import os
 
 
 def processors() -> int:
-    """Those that it may use, where the system tells; else all of the machine."""
+    """Processors that it may use, where the system tells; else all of the machine."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

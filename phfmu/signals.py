@@ -104,7 +104,7 @@ OUTPUTS = (("", "y_end", "at the present time"), (MEAN, "y_step", "mean of the l
 
 
 def quantities(model: Model) -> tuple[Quantity, ...]:
-    """All of a model in the order in which tables and units list them."""
+    """All quantities of a model in the order in which tables and units list them."""
     d = model.declaration
     return (
         Quantity("time", "independent", "x", model.step.nx, unit="s", description="time"),
@@ -167,7 +167,7 @@ def derivative_name(signal: str, by: str) -> str:
 
 
 def of_member(member: str, name: str) -> str:
-    """How the whole calls what a member calls `name`: gen.I[1], constraint.velocity.arm.lambda[1].
+    """Name in the whole of what a member calls `name`: gen.I[1], constraint.velocity.arm.lambda[1].
 
     A member without a name is composed of others, and calls all by their names already.
     """

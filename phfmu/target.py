@@ -68,7 +68,7 @@ def load(target: str, lenient: bool = False) -> Any:
 
 
 def require_known(target: str, words: Iterable[str]) -> None:
-    """TargetError, with what was meant, for a word that is neither of the library nor one of a verb's own `words`."""
+    """Raise TargetError, with what was meant, for a word that is neither of the library nor one of a verb's own `words`."""
     from phfmu.components.library import TABLE
     from phfmu.words import meant
 
@@ -127,7 +127,7 @@ def _split(target: str) -> tuple[str, str, str]:
 
 
 def _only(path: Path) -> str:
-    """The function of a file that has one, "" where several could be meant; TargetError for none."""
+    """The function of a file that has one, "" where several could be meant; raises TargetError if there is none."""
     import ast
 
     try:

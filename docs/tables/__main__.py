@@ -17,7 +17,7 @@ from phfmu.studies.bench import machine
 
 machine.one_thread()  # before numpy is imported
 
-from pages import ROOT, Made, write  # noqa: E402
+from pages import ROOT, PageBlock, write  # noqa: E402
 
 #: module -> what it makes; the docstring of each function says what is measured
 MAKERS = {
@@ -62,7 +62,7 @@ MAKERS = {
 MODULE = {name: module for module, names in MAKERS.items() for name in names}
 
 
-def maker(name: str) -> Callable[..., Made]:
+def maker(name: str) -> Callable[..., PageBlock]:
     return getattr(import_module(MODULE[name]), name)
 
 

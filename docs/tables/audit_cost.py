@@ -10,7 +10,7 @@ from statistics import median
 from time import process_time
 from typing import Any
 
-from pages import Made, table
+from pages import PageBlock, table
 
 from phfmu import Collocated, Monolithic, NativeInstance, Options, Scene, build_model, default_scheme, run
 from phfmu.audit import AuditWriter
@@ -49,7 +49,7 @@ def units(scene: Scene) -> Callable[[], Stepper]:
     return begun
 
 
-def audit_cost() -> Made:
+def audit_cost() -> PageBlock:
     """CPU time of a step in us without a ledger, with its sums, and with a row per step in a file.
 
     Medians over turns, in percent those of the ratios.
@@ -68,7 +68,7 @@ def audit_cost() -> Made:
         none = found["none"]
         more = {kept: 100 * median(b / a - 1 for a, b in zip(none, found[kept], strict=True)) for kept in KEPT[1:]}
         rows.append([name, f"{median(none):.1f}", *(f"{median(found[k]):.1f} ({x:+.1f} %)" for k, x in more.items())])
-    about = f"{machine.processor()}; load {before} before, {machine.load()} after"
+    about = machine.machine_line(before)
     return table(["run", *KEPT], rows, notes=(about,))
 
 

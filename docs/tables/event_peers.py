@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 from events import instance, known, landed
-from pages import Array, Made, independent, table
+from pages import Array, PageBlock, independent, table
 
-from phfmu.studies.bench.machine import load, processor, versions
+from phfmu.studies.bench.machine import machine_line, versions
 
 TURNS = 9  # of which the median counts
 #: grid steps of our own runs, tolerances of the others
@@ -30,7 +30,7 @@ LEVELS = (1e-6, 1e-9, 1e-12)
 
 
 @dataclass
-class Entry:
+class EventEntry:
     """A method with one setting: times of its events and energy error over H at the start; CPU times of its turns in s."""
 
     method: str
@@ -106,7 +106,7 @@ def rectifier() -> Piecewise:
 
 
 def driven(scene: Piecewise, stop: float, to_event: Callable[..., Any]) -> tuple[list[float], float]:
-    """From event to event; `to_event`: segment, t, x -> (guard, None at the stop; t, x)."""
+    """Solve a scene from event to event; `to_event`: segment, t, x -> (guard, None at the stop; t, x)."""
     segment, t, x, times = scene.first, 0.0, scene.x, list[float]()
     while True:
         guard, t, x = to_event(segment, t, x)
@@ -119,7 +119,7 @@ def driven(scene: Piecewise, stop: float, to_event: Callable[..., Any]) -> tuple
         segment, x = segment.after(guard, t, x)
 
 
-def scipy_entry(scene: Piecewise, stop: float, method: str, rtol: float) -> Entry:
+def scipy_entry(scene: Piecewise, stop: float, method: str, rtol: float) -> EventEntry:
     from scipy.integrate import solve_ivp
 
     def to_event(segment: Segment, t: float, x: Array) -> tuple[int | None, float, Array]:
@@ -132,10 +132,10 @@ def scipy_entry(scene: Piecewise, stop: float, method: str, rtol: float) -> Entr
         i = next(i for i, times in enumerate(found.t_events) if len(times))
         return i, float(found.t_events[i][0]), found.y_events[i][0]
 
-    return Entry(f"SciPy {method}", f"rtol = {rtol:g}", lambda: driven(scene, stop, to_event))
+    return EventEntry(f"SciPy {method}", f"rtol = {rtol:g}", lambda: driven(scene, stop, to_event))
 
 
-def cvode_entry(scene: Piecewise, stop: float, method: str, rtol: float) -> Entry:
+def cvode_entry(scene: Piecewise, stop: float, method: str, rtol: float) -> EventEntry:
     CVODE: Any = import_module("sksundae.cvode").CVODE
 
     def to_event(segment: Segment, t: float, x: Array) -> tuple[int | None, float, Array]:
@@ -154,20 +154,20 @@ def cvode_entry(scene: Piecewise, stop: float, method: str, rtol: float) -> Entr
             return None, stop, np.array(found.y[-1])
         return int(np.flatnonzero(found.i_events[-1])[0]), float(found.t_events[-1]), np.array(found.y_events[-1])
 
-    return Entry(f"SUNDIALS CVODE {method}", f"rtol = {rtol:g}", lambda: driven(scene, stop, to_event))
+    return EventEntry(f"SUNDIALS CVODE {method}", f"rtol = {rtol:g}", lambda: driven(scene, stop, to_event))
 
 
-def own_entry(name: str, k: int, n: int) -> Entry:
+def own_entry(name: str, k: int, n: int) -> EventEntry:
     inst, stop = instance(name, k), STOPS[name]
 
     def solve() -> tuple[list[float], float]:
         found = landed(inst, stop, n)
         return found.times[-11:], found.closure
 
-    return Entry(f"phfmu, order {2 * k}", f"{n} steps", solve)
+    return EventEntry(f"phfmu, order {2 * k}", f"{n} steps", solve)
 
 
-def entries(name: str, scene: Piecewise) -> Iterator[Entry]:
+def entries(name: str, scene: Piecewise) -> Iterator[EventEntry]:
     stop = STOPS[name]
     for k, counts in STEPS[name].items():
         yield from (own_entry(name, k, n) for n in counts)
@@ -180,7 +180,7 @@ def entries(name: str, scene: Piecewise) -> Iterator[Entry]:
 
 
 @cache
-def measured() -> dict[str, list[Entry]]:
+def measured() -> dict[str, list[EventEntry]]:
     """Turn by turn, so that what else the machine does falls on all alike."""
     wanted = {"bouncing_ball": independent("event_reference").ball(STOPS["bouncing_ball"]),
               "rectifier": known()["rectifier"].times}  # fmt: skip
@@ -196,11 +196,11 @@ def measured() -> dict[str, list[Entry]]:
 
 
 def notes() -> tuple[str, ...]:
-    about = f"{processor()}; load {load()}; one thread, CPU time, median of {TURNS} turns taken in rotation"
+    about = f"{machine_line()}; one thread, CPU time, median of {TURNS} turns taken in rotation"
     return (about, versions(("phfmu", "numpy", "scipy", "scikit-sundae")))
 
 
-def event_peers() -> Made:
+def event_peers() -> PageBlock:
     """Largest error of an event time, energy error over H at the start, CPU time of a run with its books."""
     rows = []
     for name, found in measured().items():
@@ -209,7 +209,7 @@ def event_peers() -> Made:
     return table(["scene", "method", "setting", "event times, s", "energy / H", "CPU, ms"], rows, notes=notes())
 
 
-def event_peers_equal() -> Made:
+def event_peers_equal() -> PageBlock:
     """Least CPU time (ms) at which all event times are within a level, and the energy error over H there."""
     rows = []
     for name, found in measured().items():

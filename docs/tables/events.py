@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from pages import Array, Made, independent, slopes, table
+from pages import Array, PageBlock, independent, slopes, table
 
 from phfmu import Collocated, Coupled, EngineMember, Event, NativeInstance, Options, build_model
 from phfmu.components.library import build, builder
@@ -17,7 +17,7 @@ from phfmu.runs.loop import run
 
 
 @dataclass(frozen=True)
-class Landed:
+class EventRun:
     """A run: times of its events, states at its end, closure over the energy at the start, solves an event beyond its steps."""
 
     times: list[float]
@@ -26,7 +26,7 @@ class Landed:
     solves: float
 
 
-def landed(instance: Any, stop: float, n: int) -> Landed:
+def landed(instance: Any, stop: float, n: int) -> EventRun:
     """n grid steps from the start."""
     instance.reset()
     before, counted = instance.signal("H").sum(), instance.counts["solves"]
@@ -40,7 +40,7 @@ def landed(instance: Any, stop: float, n: int) -> Landed:
             times.append(part.happened.t)
     missing = instance.signal("H").sum() - before + booked
     solves = (instance.counts["solves"] - counted - steps) / max(1, len(times))
-    return Landed(times, instance.x, float(abs(missing) / before), solves)
+    return EventRun(times, instance.x, float(abs(missing) / before), solves)
 
 
 def instance(name: str, k: int) -> Any:
@@ -49,7 +49,7 @@ def instance(name: str, k: int) -> Any:
 
 
 @dataclass(frozen=True)
-class Known:
+class ClosedFormScene:
     """A scene with a closed form: its events, what of the states is compared at the stop, and their names."""
 
     times: list[float]
@@ -59,19 +59,19 @@ class Known:
     stop: float
 
 
-def known() -> dict[str, Known]:
-    """What tests/reference/event_reference.py solves by hand."""
+def known() -> dict[str, ClosedFormScene]:
+    """Scenes that tests/reference/event_reference.py solves by hand."""
     by_hand = independent("event_reference")
     times, ia, idc = by_hand.bridge(0.05)
     apart = by_hand.hard_stop()
     levels, speed = by_hand.two_points(6)
     flux = np.array([by_hand.LA * ia, by_hand.LD * idc])
     return {
-        "rectifier": Known(times, flux, ("grid.flux", "load.flux"),
+        "rectifier": ClosedFormScene(times, flux, ("grid.flux", "load.flux"),
                            {1: (100, 200, 400), 2: (100, 200, 400), 3: (25, 50, 100)}, 0.05),
-        "hard_stop": Known([apart["hit"], apart["apart"]], np.array([apart["gap"]]), ("stop.gap",),
+        "hard_stop": ClosedFormScene([apart["hit"], apart["apart"]], np.array([apart["gap"]]), ("stop.gap",),
                            {1: (50, 100, 200), 2: (25, 50, 100), 3: (10, 20, 40)}, 0.5),
-        "two_point_control": Known(levels, np.array([speed]), ("rotor.w",),
+        "two_point_control": ClosedFormScene(levels, np.array([speed]), ("rotor.w",),
                                    {1: (50, 100, 200), 2: (20, 40, 80), 3: (4, 8, 16)}, 2.0),
     }  # fmt: skip
 
@@ -82,7 +82,7 @@ def places(inst: Any, names: tuple[str, ...]) -> list[int]:
     return [every.index(n) for n in names]
 
 
-def event_orders() -> Made:
+def event_orders() -> PageBlock:
     """Errors of event times and of states after the last event against closed forms; closure and cost of landing."""
     rows = []
     for name, exact in known().items():
@@ -102,7 +102,7 @@ def event_orders() -> Made:
     return table(head, rows)
 
 
-def apart_orders() -> Made:
+def apart_orders() -> PageBlock:
     """The rectifier as three members stepped apart: errors against the closed form, and how far from the composed run."""
     exact, rows = known()["rectifier"], []
     for k in (1, 2, 3):
@@ -139,7 +139,7 @@ def _apart(k: int, step: float) -> tuple[Any, Any]:
 
 
 def _times(result: Any) -> Array:
-    """Of the events, each of which has a row before and one after it."""
+    """Times of the events, each of which has a row before and one after it."""
     return result.time[np.flatnonzero(np.diff(result.time) == 0)]
 
 
@@ -151,7 +151,7 @@ def ran(scene: Any, k: int, step: float, stop: float | None = None) -> Any:
 
 
 def lost(result: Any, *members: str) -> float:
-    """What jumps took from the energy of these members, or of all."""
+    """Energy that jumps took from these members, or from all [J]."""
     found = {c.component: c.jumps or 0.0 for c in result.ledger.summary().components}
     return -sum(found[m] for m in members or found)
 
@@ -219,8 +219,8 @@ LOSSES: dict[str, tuple[str, Callable[[], tuple[float, float]]]] = {
 }
 
 
-def event_losses() -> Made:
-    """What is booked at a jump, and what the formula says with the values before it."""
+def event_losses() -> PageBlock:
+    """Energy booked at a jump, and the formula with the values before it."""
     rows = []
     for what, (formula, measure) in LOSSES.items():
         booked, wanted = measure()

@@ -10,7 +10,7 @@ import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from pages import DOCS, Made
+from pages import DOCS, PageBlock
 
 from phfmu.cli import main
 from phfmu.components import library
@@ -35,12 +35,12 @@ in `components/scenes`, or beside their component; `phfmu report` makes a whole
 """
 
 
-def gallery(scenes: Sequence[str] = ()) -> Made:
+def gallery(scenes: Sequence[str] = ()) -> PageBlock:
     """docs/gallery.md with a picture of every scene of the library; pictures of these only where some are named."""
     unknown = set(scenes) - set(names())
     if unknown:
         raise ValueError(f"no scene {', '.join(sorted(unknown))}; there are: {', '.join(names())}")
-    return Made(draw=lambda: list(_written(scenes or names())))
+    return PageBlock(draw=lambda: list(_written(scenes or names())))
 
 
 def names() -> list[str]:

@@ -14,12 +14,13 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from pages import DOCS, Array, Made, table
+from pages import DOCS, Array, PageBlock, table
 
 from phfmu import Collocated, Event, NativeInstance, Options, RunFunction, build_model
 from phfmu.components.electrical import synchronous_machine
-from phfmu.studies.bench.machine import load, processor, versions
-from phfmu.studies.bench.precision.reduced import Reduced, live_values, reduced
+from phfmu.studies.bench.machine import machine_line, versions
+from phfmu.studies.bench.precision.reduced import ReducedSystem, live_values, reduced
+from phfmu.studies.figures import pyplot, save
 
 TURNS, STOP = 5, 0.2
 NAMES = ("J", "d", "ra", "xl", "xd", "xd1", "Td10", "xd2", "Td20", "xq", "xq2", "Tq20", "M_f")
@@ -37,7 +38,7 @@ Found = tuple[float, Array]
 
 
 @dataclass
-class Entry:
+class GradientEntry:
     """A method with one setting: the value and its gradient, and the value alone; CPU times of turns in s."""
 
     method: str
@@ -62,13 +63,13 @@ def declared() -> Any:
 
 
 @cache
-def system() -> tuple[Reduced, Array]:
+def system() -> tuple[ReducedSystem, Array]:
     """The machine as x' = f(t, x, p), and the values of its live names with the terminal short-circuited."""
     found = reduced(declared(), live=(*NAMES, "terminal.v"))
     return found, live_values(found, found.live_start, SHORT)
 
 
-def own_entry(order: int, n: int) -> Entry:
+def own_entry(order: int, n: int) -> GradientEntry:
     model, events = build_model(declared(), Collocated(order // 2)), [Event(0.0, k, v) for k, v in SHORT.items()]
     options, at = Options(stop=STOP, step=STOP / n, events=events), system()[1][chosen()[0]]
     f, turns = RunFunction(model, NativeInstance(model), options, ["last(p)"], list(NAMES)), count(1)
@@ -85,7 +86,7 @@ def own_entry(order: int, n: int) -> Entry:
     def alone() -> None:
         f(theta())
 
-    return Entry(f"phfmu, order {order}", f"{n} steps", solve, alone)
+    return GradientEntry(f"phfmu, order {order}", f"{n} steps", solve, alone)
 
 
 def chosen() -> tuple[list[int], int, Array, Array]:
@@ -96,7 +97,7 @@ def chosen() -> tuple[list[int], int, Array, Array]:
     return [found.live_names.index(n) for n in NAMES], states.index("p"), found.x0, sizes
 
 
-def casadi_entry(rtol: float) -> Entry:
+def casadi_entry(rtol: float) -> GradientEntry:
     (found, live), (places, p, x0, sizes) = system(), chosen()
     s, theta, values = ca.SX.sym("s", len(x0)), ca.SX.sym("theta", len(places)), ca.SX(ca.DM(live))
     values[places] = theta
@@ -113,7 +114,7 @@ def casadi_entry(rtol: float) -> Entry:
         value, slopes = back(at)
         return float(value), np.array(slopes).ravel()
 
-    return Entry("CasADi, CVODES and its adjoint", f"{rtol:g}", solve, lambda: f(at))
+    return GradientEntry("CasADi, CVODES and its adjoint", f"{rtol:g}", solve, lambda: f(at))
 
 
 def in_jax(f: ca.Function) -> Callable[..., Any]:
@@ -138,7 +139,7 @@ def in_jax(f: ca.Function) -> Callable[..., Any]:
     return space["rate"]
 
 
-def diffrax_entry(rtol: float, backwards: str) -> Entry:
+def diffrax_entry(rtol: float, backwards: str) -> GradientEntry:
     import diffrax
     import jax
     import jax.numpy as jnp
@@ -166,7 +167,7 @@ def diffrax_entry(rtol: float, backwards: str) -> Entry:
         return float(value), np.array(slopes)
 
     kinds = {"RecursiveCheckpointAdjoint": "of its steps", "BacksolveAdjoint": "backsolved"}
-    return Entry(f"diffrax Dopri8, adjoint {kinds[backwards]}", f"{rtol:g}", solve, lambda: float(alone(at)))
+    return GradientEntry(f"diffrax Dopri8, adjoint {kinds[backwards]}", f"{rtol:g}", solve, lambda: float(alone(at)))
 
 
 def exact() -> Any:
@@ -190,7 +191,7 @@ def exact() -> Any:
     return y[n:].reshape(n, m)[p]
 
 
-def entries() -> Iterator[Entry]:
+def entries() -> Iterator[GradientEntry]:
     yield from (own_entry(order, n) for order, counts in STEPS.items() for n in counts)
     yield from (casadi_entry(rtol) for rtol in TOLERANCES)
     if find_spec("diffrax") is not None:
@@ -199,7 +200,7 @@ def entries() -> Iterator[Entry]:
 
 
 @cache
-def measured() -> list[Entry]:
+def measured() -> list[GradientEntry]:
     """Turn by turn, so that what else the machine does falls on all alike."""
     live, (places, *_) = system()[1], chosen()
     wanted, found = exact(), list(entries())
@@ -212,23 +213,20 @@ def measured() -> list[Entry]:
     return found
 
 
-def gradient_peers() -> Made:
+def gradient_peers() -> PageBlock:
     """Largest error of a gradient, CPU time of the value alone and of the value with its gradient by 13 parameters."""
     rows = []
     for e in measured():
         alone, both = (median(t) for t in zip(*e.spent, strict=True))
         rows.append([e.method, e.setting, e.error, f"{1e3 * alone:.2f}", f"{1e3 * both:.2f}", f"{both / alone:.1f}"])
-    about = f"{processor()}; load {load()}; CPU time of the process, median of {TURNS} turns taken in rotation"
+    about = f"{machine_line()}; CPU time of the process, median of {TURNS} turns taken in rotation"
     notes = (about, versions(("phfmu", "numpy", "scipy", "casadi", "jax", "diffrax")))
     head = ["method", "setting", "error of the gradient", "value, ms", "with gradient, ms", "with gradient/value"]
     return table(head, rows, ".1e", notes=notes, draw=_draw)
 
 
 def _draw() -> Sequence[Path]:
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
+    plt = pyplot()
 
     plt.rcParams.update({"font.size": 9.5, "axes.spines.top": False, "axes.spines.right": False})
     figure, ax = plt.subplots(figsize=(7.6, 4.4), layout="constrained")
@@ -240,6 +238,5 @@ def _draw() -> Sequence[Path]:
     ax.set(xlabel="CPU time of the value with its gradient, ms", ylabel="largest error of the gradient")
     ax.legend(frameon=False, fontsize=8.5)
     path = DOCS / "results" / "img" / "gradient_peers.png"
-    figure.savefig(path, dpi=150)
-    plt.close(figure)
+    save(figure, path)
     return (path,)

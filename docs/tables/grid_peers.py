@@ -7,13 +7,13 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from pages import Made, table
+from pages import PageBlock, table
 from peers import cheapest, draw_panels, measured_in_turns, remarks
 
 from phfmu.studies.bench import machine
 from phfmu.studies.bench.power.cases import CASES, GridCase
 from phfmu.studies.bench.power.dpsim import FOURTH
-from phfmu.studies.bench.precision.work_precision import Row, Table
+from phfmu.studies.bench.precision.work_precision import WorkPrecisionRow, WorkPrecisionTable
 
 TURNS = 3  # of which the median counts
 LEVELS = (1e-2, 1e-3, 1e-4)
@@ -21,18 +21,18 @@ VERSIONS = ("phfmu", "numpy", "scipy", "dpsim")
 
 
 @cache
-def measured() -> tuple[dict[str, tuple[GridCase, Table]], str]:
+def measured() -> tuple[dict[str, tuple[GridCase, WorkPrecisionTable]], str]:
     """All circuits, each with its methods in turns; the machine with its load."""
     return measured_in_turns(CASES, lambda case: case.candidates(), TURNS)
 
 
-def per_step(case: GridCase, row: Row) -> float:
+def per_step(case: GridCase, row: WorkPrecisionRow) -> float:
     """CPU time of a step in us."""
     assert row.steps
     return 1e6 * row.cpu * case.stop / row.steps
 
 
-def grid_peers() -> Made:
+def grid_peers() -> PageBlock:
     """Errors, CPU time per second and per step of both tools at all steps, and the picture of the page."""
     found, about = measured()
     rows = [
@@ -44,7 +44,7 @@ def grid_peers() -> Made:
     return table(head, rows, ".1e", notes=(*remarks(found), about, machine.versions(VERSIONS)), draw=_draw)
 
 
-def grid_peers_equal() -> Made:
+def grid_peers_equal() -> PageBlock:
     """The cheapest way to an error on the circuit of one machine: ms of CPU per second of both tools, and their ratio."""
     found, _ = measured()
     rows: list[list[Any]] = []
@@ -60,7 +60,7 @@ def grid_peers_equal() -> Made:
     return table(["circuit", "error", "phfmu, ms/s", "DPsim, ms/s", "DPsim / phfmu"], rows)
 
 
-def grid_peers_steps() -> Made:
+def grid_peers_steps() -> PageBlock:
     """CPU time per step of 50 us, and how many of them one with DPsim's machines of order 4 takes."""
     found, _ = measured()
     rows: list[list[Any]] = []
@@ -78,7 +78,7 @@ def _draw() -> Sequence[Path]:
         (
             name,
             case,
-            Table([r for r in result.rows if r.judged.errors[0] < 10], result.remarks),
+            WorkPrecisionTable([r for r in result.rows if r.judged.errors[0] < 10], result.remarks),
             f"error of the {case.judged[0]}, relative",
         )
         for name, (case, result) in found.items()

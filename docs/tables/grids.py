@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pages import DOCS, ROOT, Array, Made, slopes, table
+from pages import DOCS, ROOT, Array, PageBlock, slopes, table
 
 from phfmu import Collocated, Monolithic, NativeInstance, Options, Scene, build_model, run
 from phfmu.components.grids import grid_model
@@ -21,6 +21,7 @@ from phfmu.components.scenes.electrical.grids import ieee39, new_england, public
 from phfmu.derivatives.steady_steps import steady_steps
 from phfmu.operating import NetworkPoint
 from phfmu.runs.result import Result
+from phfmu.studies.figures import pyplot, save
 
 PUBLISHED = ROOT / "tests" / "reference" / "data" / "grids"
 #: begin and end of the fault of long runs [s], their length [s], their rows [s], and their steps [s] by grid
@@ -33,7 +34,7 @@ KINDS = {
 }  # fmt: skip
 
 
-def grid_power_flows() -> Made:
+def grid_power_flows() -> PageBlock:
     """Largest differences of the operating points from solutions of others: pandapower's, and those published with the cases."""
     rows = []
     for name in ("wscc9", "new_england", "ieee39", "wecc240"):
@@ -85,7 +86,7 @@ def _solved(name: str) -> tuple[list[int], Array, str]:
     return list(flow["bus_num"]), v, "published with the case, five digits"
 
 
-def grid_steady() -> Made:
+def grid_steady() -> PageBlock:
     """`wscc9_steady` after 1 s, turned back to the start: largest difference of a state relative to its amplitude, from the
     operating point of the equations and from where the steps stay."""
     rows = []
@@ -121,7 +122,7 @@ def _nine() -> Any:
     return _of_tests("components.test_nine_buses")
 
 
-def grid_fault_orders() -> Made:
+def grid_fault_orders() -> PageBlock:
     """`wscc9`, a fault of 20 ohm at bus 7 from 20 to 40 ms, to 60 ms: line currents beside their largest, rotor angles."""
     nine, rows, steps = _nine(), [], (1e-4, 5e-5, 2.5e-5)
     for k in (1, 2, 3):
@@ -133,7 +134,7 @@ def grid_fault_orders() -> Made:
     return table(["order", "step, us", "line currents / max", "slope", "rotor angles, rad", "slope"], rows)
 
 
-def grid_openings() -> Made:
+def grid_openings() -> PageBlock:
     """`wscc9_trip`, 25 us: when the poles of line 5-7 open beside the zeros in phase coordinates, current and loss of each."""
     nine, rows = _nine(), []
     zeros = nine.opened()
@@ -168,7 +169,7 @@ def swing(r: Result) -> dict[str, Array]:
 CLEARED, FIRST_SWINGS = (0.2225, 0.223), 5.0
 
 
-def grid_clearing() -> Made:
+def grid_clearing() -> PageBlock:
     """`new_england`, fault of 0.001 pu at bus 16 from 0.1 s on: the largest angle from the mean of all machines within 5 s.
 
     By steps of orders 2 and 4, and by phasors, which leave out the transients of stators and lines.
@@ -208,14 +209,14 @@ def speeds(r: Result) -> dict[str, Array]:
     return {n[:-2]: r.column(n) / r.column(n)[0] - 1.0 for n in r.names if re.fullmatch(r"gen\w+\.p", n)}
 
 
-def grid_ieee39() -> Made:
+def grid_ieee39() -> PageBlock:
     """`ieee39` with its controllers, a fault of 50 ms at bus 16, 10 s: where the energy went, in MJ."""
     return _energies("ieee39")
 
 
-def grid_map() -> Made:
+def grid_map() -> PageBlock:
     """docs/results/img/grids_map.svg: the 39 buses of `ieee39`, energy through all ports in its fault."""
-    return Made(draw=_map)
+    return PageBlock(draw=_map)
 
 
 def _map() -> Sequence[Path]:
@@ -233,12 +234,12 @@ def _map() -> Sequence[Path]:
     return [path]
 
 
-def grid_wecc240() -> Made:
+def grid_wecc240() -> PageBlock:
     """`wecc240` with its controllers, a fault of 50 ms at bus 3803, 10 s: where the energy went, in MJ."""
     return _energies("wecc240")
 
 
-def _energies(name: str) -> Made:
+def _energies(name: str) -> PageBlock:
     """Per kind of member: in the fault and after it."""
     r, rows = faulted(name), []
     first, cleared, last = (int(np.flatnonzero(r.time <= t + 1e-9)[-1]) for t in (*FAULT, STOP))
@@ -285,10 +286,7 @@ def _ending(r: Result) -> str:
 
 def _draw(name: str) -> Sequence[Path]:
     """docs/results/img/grids_<name>.png: speeds of all machines, and energies by kind of member."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
+    plt = pyplot()
 
     r = faulted(name)
     figure, (left, right) = plt.subplots(1, 2, figsize=(11, 3.6), constrained_layout=True)
@@ -307,6 +305,5 @@ def _draw(name: str) -> Sequence[Path]:
         panel.grid(alpha=0.25)
         panel.spines[["top", "right"]].set_visible(False)
     path = DOCS / "results" / "img" / f"grids_{name}.png"
-    figure.savefig(path, dpi=110)
-    plt.close(figure)
+    save(figure, path, 110)
     return [path]

@@ -15,7 +15,7 @@ from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 
-from pages import ROOT, Made, table
+from pages import ROOT, PageBlock, table
 
 #: the tree that the page compares with: engine, couplings and units in three flat folders
 BEFORE = "1f76368"
@@ -39,7 +39,7 @@ KINDS = {
 }
 
 
-def house(trees: Sequence[Path] = ()) -> Made:
+def house(trees: Sequence[Path] = ()) -> PageBlock:
     """Length of files and functions, circles, imports upward, repeated lines, and files to touch for a new part."""
     if trees:
         return compared({str(t): Tree(t) for t in trees})
@@ -47,7 +47,7 @@ def house(trees: Sequence[Path] = ()) -> Made:
         return compared({BEFORE: Tree(of_commit(BEFORE, Path(folder))), "now": Tree(ROOT)})
 
 
-def compared(trees: dict[str, Tree]) -> Made:
+def compared(trees: dict[str, Tree]) -> PageBlock:
     """One column a tree; the notes are about the last."""
     columns = [t.numbers() for t in trees.values()]
     rows = [[name, *(c[name] for c in columns)] for name in columns[0]]

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from pages import Made
+from pages import PageBlock
 
 from phfmu.studies.bench.orders import measure
 from phfmu.studies.bench.orders import table as markdown
 
 
-def orders() -> Made:
+def orders() -> PageBlock:
     """Slopes and worst ledger closure of every scheme on everything in the library."""
-    return Made(markdown(measure()))
+    return PageBlock(markdown(measure()))

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 from networks import at, kirchhoff, monolithic, newton, worst
-from pages import Array, Made, reference, slopes, table
+from pages import Array, PageBlock, reference, slopes, table
 
 from phfmu import Scene
 from phfmu.components.scenes.electrical.smib import smib, smib_folded
@@ -15,7 +15,7 @@ from phfmu.components.scenes.mechanical.oscillator import oscillator
 from phfmu.runs.result import Result
 
 
-def oscillator_coupling() -> Made:
+def oscillator_coupling() -> PageBlock:
     """Error of q1 (m) over 1 s, energy drift, iterations: one model against coupled members."""
     rows, steps = [], (0.04, 0.02, 0.01, 0.005)
     for how in (monolithic, newton):
@@ -54,7 +54,7 @@ def angle_error(r: Result, ref: dict[str, Array], machines: dict[str, str], unti
 
 def machine_table(
     scene: Callable[[], Scene], name: str, machines: dict[str, str], stop: float, steps: Sequence[float]
-) -> Made:
+) -> PageBlock:
     """Orders over h, with impulse pairs at bare nodes and without: currents, angles, Kirchhoff residual, ledger."""
     ref, rows = reference(name), []
     for k, impulses in ((1, True), (2, True), (3, True), (1, False), (2, False)):
@@ -77,18 +77,18 @@ def machine_table(
     return table([*head, "KCL residual in A", "slope", "worst ledger"], rows)
 
 
-def smib_convergence() -> Made:
+def smib_convergence() -> PageBlock:
     """Errors over all rows of the reference up to 5 s; Kirchhoff residual at the step ends; ledger."""
     return machine_table(smib, "smib", {"gen": ""}, 5.0, (5e-4, 2.5e-4, 1.25e-4))
 
 
-def two_machine_order() -> Made:
+def two_machine_order() -> PageBlock:
     """Two machines through a fault on [0.02 s, 0.06 s), errors over all reference rows to 0.1 s."""
     scene = lambda: two_machine(t_fault=0.02, t_clear=0.06, stop=0.1)  # noqa: E731
     return machine_table(scene, "two_machine_early", {"m1": "1", "m2": "2"}, 0.1, (2e-4, 1e-4, 5e-5))
 
 
-def smib_folded_convergence() -> Made:
+def smib_folded_convergence() -> PageBlock:
     """The line folded into the machine: stator currents and angle over the rows of the reference up to 1 s."""
     ref, rows = reference("smib"), []
     sizes = {("dq-flux", 1): (1e-3, 5e-4, 2.5e-4), ("dq-flux", 2): (1e-2, 2.5e-3, 1.25e-3, 6.25e-4),
@@ -111,7 +111,7 @@ def smib_folded_convergence() -> Made:
     return table(head, rows)
 
 
-def smib_coordinates() -> Made:
+def smib_coordinates() -> PageBlock:
     """The three coordinate systems of the machine, to 0.6 s at 0.1 ms."""
     ref, rows = reference("smib"), []
     for coordinates in ("dq-flux", "abc-flux", "current"):

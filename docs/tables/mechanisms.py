@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from pages import Array, Made, independent, slopes, table
+from pages import Array, PageBlock, independent, slopes, table
 from scipy.special import ellipk
 
 from phfmu import PHDAE, Monolithic, NativeInstance, Options, StepFailure, build_model, default_scheme, run
@@ -55,7 +55,7 @@ def _ledger(result: Result) -> float:
     return abs(result.ledger.summary().network.unexplained)
 
 
-def mechanism_values() -> Made:
+def mechanism_values() -> PageBlock:
     """Each mechanism over its whole run beside what is known of it, and what its ledger leaves unexplained."""
     known, rows = independent("mechanism_reference"), list[list[Any]]()
 
@@ -134,7 +134,7 @@ def _vertical(found: Result, mass: float = 15.0, radius: float = 0.5) -> Array:
     return (masses[:, None] * np.cross(q, v)).sum(axis=1)[:, 2]
 
 
-def mechanism_windows() -> Made:
+def mechanism_windows() -> PageBlock:
     """A02: windows of four bars through their flat positions for 20 s, the first crank's tip at 400 times beside one equation."""
     known, rows = independent("mechanism_reference"), list[list[Any]]()
     for (n, kernels), steps in WINDOWS.items():
@@ -153,7 +153,7 @@ def mechanism_windows() -> Made:
     return table(["windows", "kernels", "order", "h, s", "largest error, m", "unexplained, J", "ledger"], rows, ".1e")
 
 
-def mechanism_slopes() -> Made:
+def mechanism_slopes() -> PageBlock:
     """Observed orders of positions, velocities and joint forces at the end of a short run, against the last but finer steps of
     order 6."""
     rows = list[list[Any]]()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from pages import Made, independent, table
+from pages import PageBlock, independent, table
 
 from phfmu import NativeInstance, TwoLevel, build_model
 from phfmu.components.mechanical.chain import chain as chain_component
@@ -14,7 +14,7 @@ from phfmu.components.mechanical.heavy_top import heavy_top
 SWING = {"n": 5, "damping": 0.3, "bending": 10.0, "speed": 2.0}
 
 
-def chain() -> Made:
+def chain() -> PageBlock:
     """Damped chain of five links, t = 0.4 s: errors and slopes of q, v, lambda_end, lambda (mean of the last step)."""
     solve = independent("chain_reference").chain
     q, v, lam = solve(0.4, **SWING)
@@ -38,7 +38,7 @@ def chain() -> Made:
     return table(["order", "h / s", "q", "v", "lambda_end", "lambda", "balance / J", "g", "Dg v"], rows)
 
 
-def top() -> Made:
+def top() -> PageBlock:
     """Heavy top in directors, singular M, t = 0.1 s: errors and slopes of q, v, and v of the director without mass."""
     q, v = independent("heavy_top_reference").heavy_top(0.1, precession=1.0)
     rows, last = [], None

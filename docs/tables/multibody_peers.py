@@ -7,15 +7,15 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from pages import Made, nothing, table
+from pages import PageBlock, nothing, table
 from peers import cheapest, draw_panels, measured_in_turns, remarks
 
 from phfmu.studies.bench import machine
 from phfmu.studies.bench.mechanisms import exudyn_models, ida, mujoco_models, opensim_models
-from phfmu.studies.bench.mechanisms.case import Case
+from phfmu.studies.bench.mechanisms.case import MechanismCase
 from phfmu.studies.bench.mechanisms.cases import CASES, IFTOMM
 from phfmu.studies.bench.precision.candidate import Candidate
-from phfmu.studies.bench.precision.work_precision import Table
+from phfmu.studies.bench.precision.work_precision import WorkPrecisionTable
 
 TURNS = 5  # of which the median counts
 #: errors at which costs are compared
@@ -30,16 +30,16 @@ COLUMNS = {
 }
 
 
-Peers = tuple[Callable[[Case], Iterator[Candidate]], ...]
+Peers = tuple[Callable[[MechanismCase], Iterator[Candidate]], ...]
 PROGRAMS: Peers = (mujoco_models.candidates, exudyn_models.candidates, ida.candidates)
 
 
 @cache
-def measured(iftomm: bool = False) -> tuple[dict[str, tuple[Case, Table]], str]:
+def measured(iftomm: bool = False) -> tuple[dict[str, tuple[MechanismCase, WorkPrecisionTable]], str]:
     """All cases, each with its methods in turns; the machine with its load."""
     peers = (opensim_models.candidates,) if iftomm else PROGRAMS
 
-    def methods(case: Case) -> Iterator[Candidate]:
+    def methods(case: MechanismCase) -> Iterator[Candidate]:
         case.solve_reference()
         yield from case.own()
         for peer in peers:
@@ -48,17 +48,17 @@ def measured(iftomm: bool = False) -> tuple[dict[str, tuple[Case, Table]], str]:
     return measured_in_turns(IFTOMM if iftomm else CASES, methods, TURNS)
 
 
-def multibody_peers() -> Made:
+def multibody_peers() -> PageBlock:
     """Errors of positions and CPU time of all methods and settings, the first table of the page, and its picture."""
     return _rows(False, _draw)
 
 
-def multibody_peers_iftomm() -> Made:
+def multibody_peers_iftomm() -> PageBlock:
     """The problems A01 to A04 of the IFToMM's library beside OpenSim."""
     return _rows(True)
 
 
-def _rows(iftomm: bool, draw: Callable[[], Sequence[Path]] = nothing) -> Made:
+def _rows(iftomm: bool, draw: Callable[[], Sequence[Path]] = nothing) -> PageBlock:
     found, about = measured(iftomm)
     rows = [
         [name, r.method, r.setting, f"{1e3 * r.cpu:.3g}", r.judged.errors[0]]
@@ -71,7 +71,7 @@ def _rows(iftomm: bool, draw: Callable[[], Sequence[Path]] = nothing) -> Made:
     return table(head, rows, ".1e", notes=(*notes, machine.versions()), draw=draw)
 
 
-def multibody_peers_equal() -> Made:
+def multibody_peers_equal() -> PageBlock:
     """Costs at equal errors in ms of CPU per second, and how many times those of phfmu they are."""
     found, _ = measured()
     rows: list[list[Any]] = []

@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from pages import Array, Made, table
+from pages import Array, PageBlock, table
 
 from phfmu import Collocated, Coupled, EngineMember, Monolithic, NativeInstance, Options, Scene, build_model, run
 from phfmu.network.couplings.coupling_table import COUPLINGS
 from phfmu.runs.result import Result
 
 
-def couplings() -> Made:
+def couplings() -> PageBlock:
     """Couplings by the names that users know: order, what members need, what it is."""
     rows = [[f"`{r.name}`", r.about, r.order, r.needs] for r in COUPLINGS.values()]
     return table(["coupling", "what", "order", "needs"], rows)

@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pages import DOCS, Made, declared, table
+from pages import DOCS, PageBlock, declared, table
 
 from phfmu import Coupled, EngineMember, NativeInstance, Network, Options, PythonInstance, build_model, run
 from phfmu.runs.result import Result
+from phfmu.studies.figures import pyplot, save
 
 STEP, VOLTAGE = 2e-3, 24.0
 COIL, PLATES, LOST, BANK, LEAK = "#1f6fb4", "#5b8c3a", "#b9402f", "#d1711b", "#8a6bb1"
@@ -35,7 +36,7 @@ def step(h: float) -> tuple[np.ndarray, np.ndarray, dict[str, float]]:
     return before, unit.x.copy(), {name: float(np.sum(value)) for name, value in unit.ledger().items()}
 
 
-def one_step() -> Made:
+def one_step() -> PageBlock:
     """A step of 2 ms at 24 V: both states at its ends, the slopes of H at its start, and those between its ends."""
     before, after, _ = step(STEP)
     parts = zip(energies(before), energies(after), strict=True)
@@ -52,7 +53,7 @@ def one_step() -> Made:
     return table(["", "at the start", "at the end", "slope of H at the start", "slope of the step"], rows)
 
 
-def one_balance() -> Made:
+def one_balance() -> PageBlock:
     """The energies of that step in millijoule; the residual in joule."""
     before, after, book = step(STEP)
     coil, plates = (float(b - a) for a, b in zip(energies(before), energies(after), strict=True))
@@ -62,16 +63,13 @@ def one_balance() -> Made:
     return table(head, [[*cells, f"{residual:.0g}"]])
 
 
-def mental_model_picture() -> Made:
+def mental_model_picture() -> PageBlock:
     """docs/img/mental-model.png: circuit, slope of a step, energy of a step, ledger of a run."""
-    return Made(draw=_draw)
+    return PageBlock(draw=_draw)
 
 
 def _draw() -> Sequence[Path]:
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
+    plt = pyplot()
 
     plt.rcParams.update({"font.size": 9.5, "axes.spines.top": False, "axes.spines.right": False})
     figure, axes = plt.subplots(2, 2, figsize=(9, 6.4), layout="constrained", width_ratios=(1, 1.15))
@@ -80,8 +78,7 @@ def _draw() -> Sequence[Path]:
     _energy(axes[1, 0])
     _ledger(axes[1, 1])
     path = DOCS / "img" / "mental-model.png"
-    figure.savefig(path, dpi=150)
-    plt.close(figure)
+    save(figure, path)
     return (path,)
 
 
@@ -140,7 +137,7 @@ def _slope(ax: Any) -> None:
 
 
 def _energy(ax: Any) -> None:
-    """Where the energy of one step comes from and where it goes."""
+    """Sources and destinations of the energy of one step."""
     before, after, book = step(STEP)
     coil, plates = (1e3 * float(b - a) for a, b in zip(energies(before), energies(after), strict=True))
     lost, supplied = 1e3 * book["dissipated"], 1e3 * book["supplied"]

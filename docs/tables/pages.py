@@ -1,4 +1,4 @@
-"""What every table needs: Markdown, observed orders, independent solutions, and its place on a page."""
+"""Parts of every table: Markdown, observed orders, independent solutions, and its place on a page."""
 
 from __future__ import annotations
 
@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from phfmu.studies.tables import markdown_table
+
 Array = NDArray[np.float64]
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -26,8 +28,8 @@ def nothing() -> Sequence[Path]:
 
 
 @dataclass(frozen=True)
-class Made:
-    """What a command makes: text in Markdown, notes below it, and what `draw` puts into a folder of docs."""
+class PageBlock:
+    """The result of a command: text in Markdown, notes below it, and the pictures that `draw` puts into a folder of docs."""
 
     text: str = ""
     notes: tuple[str, ...] = ()
@@ -37,10 +39,10 @@ class Made:
         return "\n\n".join(part for part in (self.text, "\n".join(f"- {n}" for n in self.notes)) if part)
 
 
-def table(head: Sequence[str], rows: Sequence[Sequence[Any]], digits: str = ".2e", **more: Any) -> Made:
+def table(head: Sequence[str], rows: Sequence[Sequence[Any]], digits: str = ".2e", **more: Any) -> PageBlock:
     """A Markdown table with floats in the format `digits`; `more`: notes and draw."""
     text = [[f"{x:{digits}}" if isinstance(x, float) else str(x) for x in row] for row in rows]
-    return Made("\n".join("| " + " | ".join(r) + " |" for r in [head, ["---"] * len(head), *text]), **more)
+    return PageBlock(markdown_table(head, text), **more)
 
 
 def slopes(errors: Sequence[float], steps: Sequence[float]) -> list[str]:
@@ -79,7 +81,7 @@ def declared(page: str, name: str) -> Callable[..., Any]:
     raise KeyError(f"docs/{page} has no function '{name}'")
 
 
-def write(name: str, made: Made) -> list[Path]:
+def write(name: str, made: PageBlock) -> list[Path]:
     """Replace what stands below the line `python docs/tables <name>` of each page; the pages that hold it."""
     notes = r"(?:\n(?:- .*\n)+)?" if made.notes else ""
     below = re.compile(rf"(^    python docs/tables {name}\n\n)(?:\|.*\n)*{notes}", re.MULTILINE)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from pages import Array, Made, reference, slopes, table
+from pages import Array, PageBlock, reference, slopes, table
 
 from phfmu import NativeInstance, Options, StepFailure, build_model, run
 from phfmu.components.mechanical.four_particle import four_particle
@@ -30,7 +30,7 @@ def four(scheme: tuple[str, int, str], h: float, stop: float, **starts: float) -
     return rows
 
 
-def four_particle_convergence() -> Made:
+def four_particle_convergence() -> PageBlock:
     """Relative errors at t = 0.1 s of q4, v4 and lambda_1 (step mean and end value) over h."""
     exact = {n: v[1] for n, v in reference("four_particle").items()}
     steps, rows = (0.01, 0.005, 0.002, 0.001), []
@@ -51,7 +51,7 @@ def four_particle_convergence() -> Made:
     return table(["scheme", "h in s", "q4", "slope", "v4", "slope", "λ1 mean", "slope", "λ1 end", "slope"], rows)
 
 
-def four_particle_balance() -> Made:
+def four_particle_balance() -> PageBlock:
     """Ten seconds at h = 0.01 s: ledger, constraints, momenta."""
     mass, rows = np.repeat([1.0, 3.0, 2.3, 1.7], 3), []
     for label, scheme in SCHEMES.items():
@@ -73,7 +73,7 @@ def four_particle_balance() -> Made:
     return table(head, rows)
 
 
-def four_particle_large_steps() -> Made:
+def four_particle_large_steps() -> PageBlock:
     """H(10 s) of the damped system at large steps; what the solver needed."""
     rows = []
     for label, scheme in SCHEMES.items():

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pages import DOCS, Made
+from pages import DOCS, PageBlock
 
 from phfmu import PHDAE, NativeInstance, Options, PythonInstance, build_model, default_scheme, energy, skew, state
 from phfmu.audit import AuditWriter, read
@@ -16,6 +16,7 @@ from phfmu.components.library import build
 from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.runs.loop import run
 from phfmu.runs.result import Result
+from phfmu.studies.figures import pyplot, save
 
 IMAGES = DOCS / "img"
 COLOURS = {"gen": "#1f6fb4", "line": "#d1711b", "grid": "#5b8c3a"}
@@ -55,16 +56,13 @@ def largest(values: np.ndarray, window: int) -> np.ndarray:
     return np.abs(values).reshape(-1, window).max(axis=1)
 
 
-def smib_picture() -> Made:
+def smib_picture() -> PageBlock:
     """docs/img/smib.png: stator current and rotor speed after the torque step, and the ledger of every step."""
-    return Made(draw=_draw_smib)
+    return PageBlock(draw=_draw_smib)
 
 
 def _draw_smib() -> Sequence[Path]:
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
+    plt = pyplot()
 
     result, table = recorded("smib")
     t, window = result.time, 250
@@ -117,14 +115,13 @@ def _draw_smib() -> Sequence[Path]:
     ax.grid(axis="y", color="0.9")
 
     path = IMAGES / "smib.png"
-    figure.savefig(path, dpi=150)
-    plt.close(figure)
+    save(figure, path)
     return (path,)
 
 
-def skew_picture() -> Made:
+def skew_picture() -> PageBlock:
     """docs/img/skew.png: which way `skew(a, b, 1)` turns the point (a, b), and `skew(b, a, 1)`."""
-    return Made(draw=_draw_skew)
+    return PageBlock(draw=_draw_skew)
 
 
 def turned(swapped: bool) -> np.ndarray:
@@ -137,10 +134,7 @@ def turned(swapped: bool) -> np.ndarray:
 
 
 def _draw_skew() -> Sequence[Path]:
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
+    plt = pyplot()
 
     plt.rcParams.update({"font.size": 10})
     figure, axes = plt.subplots(1, 2, figsize=(8, 4), layout="constrained")
@@ -161,6 +155,5 @@ def _draw_skew() -> Sequence[Path]:
         ax.axvline(0.0, color="0.8", lw=0.8, zorder=0)
         ax.set(title=title, xlabel="a", ylabel="b", xlim=(-1.3, 1.3), ylim=(-1.3, 1.3), aspect="equal")
     path = IMAGES / "skew.png"
-    figure.savefig(path, dpi=120)
-    plt.close(figure)
+    save(figure, path, 120)
     return (path,)

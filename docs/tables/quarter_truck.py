@@ -6,7 +6,7 @@ import os
 from typing import Any
 
 import numpy as np
-from pages import REFERENCE, Made, table
+from pages import REFERENCE, PageBlock, table
 from scipy.integrate import solve_ivp
 
 from phfmu import Coupled, Network, Options, run
@@ -32,7 +32,7 @@ ROWS: tuple[tuple[str, Any, float, dict[str, float]], ...] = (
 )
 
 
-def quarter_truck() -> Made:
+def quarter_truck() -> PageBlock:
     """The chassis and the wheel of libcosim's test data (FMI 2.0) over 10 s: steps, error, energy that the bond makes."""
     rows = []
     for how, coupling, step, options in ROWS:
@@ -62,7 +62,7 @@ def _truck(coupling: Any, step: float, options: dict[str, float]) -> Result:
 
 
 def _error(result: Result) -> float:
-    """Of the chassis' position, the largest relative to the largest position."""
+    """Largest error of the chassis' position, relative to the largest position."""
 
     def rates(_: float, s: np.ndarray) -> list[float]:
         y, v, x, w = s

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from pages import Made, slopes, table
+from pages import PageBlock, slopes, table
 from scipy.linalg import expm
 
 from phfmu import Collocated, PythonInstance, build_model
@@ -22,7 +22,7 @@ def two_degrees_of_freedom() -> np.ndarray:
     return expm(A * END)[:4] @ [0.1, 0.05, 0.3, -0.5, 1.0]
 
 
-def mass_spring_orders() -> Made:
+def mass_spring_orders() -> PageBlock:
     """Two masses with a singular mass matrix, reduced: largest error of positions and speeds, and the balance."""
     exact, rows = two_degrees_of_freedom(), []
     declaration = mass_spring(m1=M1, m2=M2, k1=K1, k2=K2, d1=D1, d2=D2, elongations=(0.1, -0.05), speeds=(0.3, -0.8))

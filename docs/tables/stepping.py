@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from pages import Made, table
+from pages import PageBlock, table
 
 from phfmu import Collocated, Monolithic, NativeInstance, Options, build_model, default_scheme, run
 from phfmu.components.mechanical.four_particle import four_particle
@@ -19,7 +19,7 @@ def stepper(declaration: Any, scheme: Scheme) -> Monolithic:
     return Monolithic(model, NativeInstance(model))
 
 
-def restart() -> Made:
+def restart() -> PageBlock:
     """Voltage of phase b at the load of two_machine in V, at the fault and after the next steps of 100 us; lost energy."""
     scene, rows = two_machine(), []
     cases = {"order 2": (1, {}), "order 4": (2, {}), "order 2, one restart step": (1, {"restart": 1}),
@@ -34,7 +34,7 @@ def restart() -> Made:
     return table(["steps", "at the fault", "1", "2", "3", "4", "5", "lost in J"], rows)
 
 
-def tolerance() -> Made:
+def tolerance() -> PageBlock:
     """Largest error of a state at the end, relative to 1 + its size, divided by rtol; in brackets the steps."""
     tolerances, rows = (1e-4, 1e-5, 1e-6, 1e-7, 1e-8), []
     scene = smib()
@@ -57,7 +57,7 @@ def tolerance() -> Made:
     return table(["model", "scheme", *(f"{t:g}" for t in tolerances)], rows)
 
 
-def between() -> Made:
+def between() -> PageBlock:
     """Largest g, Dg v and distance of H from a straight line within the steps of four_particle, 1 s."""
     rows = []
     for order in (2, 6):

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from pages import DOCS, Made, table
+from pages import DOCS, PageBlock, table
 
 from phfmu.studies.bench import machine
 from phfmu.studies.bench.families import FAMILIES, member
@@ -23,14 +23,14 @@ def numbers(text: str) -> tuple[float, ...]:
     return tuple(float(t) for t in text.split(","))
 
 
-def work_precision(target: str, steps: str, errors: str, stop: float, repeat: int, peers: tuple[str, ...]) -> Made:
+def work_precision(target: str, steps: str, errors: str, stop: float, repeat: int, peers: tuple[str, ...]) -> PageBlock:
     """One comparison of `phfmu bench`: rows, ratios at equal errors, machine; its picture."""
     from phfmu.studies.bench.precision.problem import problem_of
     from phfmu.studies.bench.precision.report import write_png
-    from phfmu.studies.bench.precision.run import Choice, compare
+    from phfmu.studies.bench.precision.run import ComparisonSettings, compare
 
     problem = problem_of(member(target) or scene(target), times=(1.0,), stop=stop, judged=("q",))
-    choice = Choice(steps=numbers(steps), errors=numbers(errors), repeat=repeat, peers=peers)
+    choice = ComparisonSettings(steps=numbers(steps), errors=numbers(errors), repeat=repeat, peers=peers)
     found = compare(problem, choice)
 
     def draw() -> Sequence[Path]:
@@ -58,7 +58,7 @@ def work_precision(target: str, steps: str, errors: str, stop: float, repeat: in
     return table(head, rows, ".3g", notes=notes, draw=draw)
 
 
-def four_particle() -> Made:
+def four_particle() -> PageBlock:
     """Four particles, damped, timed over 10 s."""
     return work_precision(
         "four_particle",
@@ -70,17 +70,17 @@ def four_particle() -> Made:
     )
 
 
-def chain_10() -> Made:
+def chain_10() -> PageBlock:
     """Ten unit links let go from the horizontal, timed over 2 s."""
     return work_precision("chain:10", "0.04,0.02,0.01,0.005", "1e-4,1e-6,1e-8", 2.0, 5, ("casadi", "mujoco", "exudyn"))
 
 
-def chain_50() -> Made:
+def chain_50() -> PageBlock:
     """The same with fifty links."""
     return work_precision("chain:50", "0.04,0.02,0.01", "1e-5,1e-7,3e-9", 2.0, 3, ("mujoco", "exudyn"))
 
 
-def scaling(name: str, sizes: Sequence[int]) -> Made:
+def scaling(name: str, sizes: Sequence[int]) -> PageBlock:
     """Sizes of a family with fitted exponents."""
     from phfmu.studies.bench.scaling import GROWTH, exponent, run
 
@@ -94,7 +94,7 @@ def scaling(name: str, sizes: Sequence[int]) -> Made:
     rows.append(["~ n^", "", *(p[c] for c in GROWTH[:-1]), "", p["iteration"]])
     parts = FAMILIES[name].parts
     head = [parts, "unknowns", "declare s", "plan s", "C kB", "compile s", "memory MB", "µs/step", "its", "µs/it"]
-    about = f"{machine.processor()}; load {before} before, {machine.load()} after; process CPU time"
+    about = f"{machine.machine_line(before)}; process CPU time"
     return table(head, rows, ".3g", notes=(about,), draw=draw_scaling)
 
 
@@ -115,16 +115,16 @@ def draw_scaling() -> Sequence[Path]:
     return (picture,)
 
 
-def scaling_chain() -> Made:
+def scaling_chain() -> PageBlock:
     """Pendulum chains, two-level of order 2, h = 2 ms."""
     return scaling("chain", (10, 100, 1000, 3000, 10_000))
 
 
-def scaling_net() -> Made:
+def scaling_net() -> PageBlock:
     """Square sheets of masses and springs, h = 1 ms."""
     return scaling("net", (4, 8, 16, 32))
 
 
-def scaling_ladder() -> Made:
+def scaling_ladder() -> PageBlock:
     """Machines along a line, h = 0.1 ms."""
     return scaling("ladder", (3, 10, 30, 100, 300))

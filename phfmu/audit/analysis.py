@@ -15,11 +15,11 @@ from phfmu.audit.contradictions import Contradictions
 from phfmu.audit.judge import DEFAULT_RTOL
 from phfmu.audit.kinds import Quality, RowKind
 from phfmu.audit.ledger import Ledger
-from phfmu.audit.log.reading import Batches, Interned, LogRows
+from phfmu.audit.log.reading import Batches, InternedNames, LogRows
 from phfmu.audit.log.window import Window, judged_by
 from phfmu.audit.summary import LedgerSummary
 from phfmu.audit.summing.sums import Floats
-from phfmu.audit.tables.report import Shown, summary_table
+from phfmu.audit.tables.report import SummaryTableOptions, summary_table
 from phfmu.audit.violation import Violation
 from phfmu.outcome.steps import Steps
 
@@ -35,7 +35,9 @@ _OPTIONAL = ("numerical", "moved", "varying", "exchanged")
 
 
 def audit_table(
-    source: "pa.Table | str | os.PathLike[str] | LedgerSummary", rtol: float = DEFAULT_RTOL, **shown: Unpack[Shown]
+    source: "pa.Table | str | os.PathLike[str] | LedgerSummary",
+    rtol: float = DEFAULT_RTOL,
+    **shown: Unpack[SummaryTableOptions],
 ) -> str:
     """Text of where the energy went, from an audit table, its file or a ledger's summary; see `summary_table` for `shown`.
 
@@ -58,7 +60,7 @@ def summarise(
     Nothing derived is taken from the rows: residuals, junctions, the network and its sums are computed again, and rows
     that say otherwise are violations of the kind `file`. One pass; memory does not grow with the log.
     `window`: sums are those of the steps and events within it; the verdict is that of the whole log, which is read twice then.
-    Errors: ValueError for what is not an audit log, or would unpack to far more than phfmu writes.
+    Errors: ValueError for a file that is not an audit log, or would unpack to far more than phfmu writes.
     """
     whole = Batches(source)
     judged = _summed(whole, rtol, whole.interned, whole)
@@ -69,10 +71,10 @@ def summarise(
 
 
 def _summed(
-    batches: Iterable[Mapping[RowKind, LogRows]], rtol: float, interned: Interned, whole: Batches | None = None
+    batches: Iterable[Mapping[RowKind, LogRows]], rtol: float, interned: InternedNames, whole: Batches | None = None
 ) -> LedgerSummary:
     """The ledger of the rows of `batches`; `whole`: they are all of a source, which says how many steps it holds."""
-    reader = _Reader(interned, rtol)
+    reader = _BlockReader(interned, rtol)
     for batch in batches:
         reader.take(batch)
     reader.finish(whole.holds if whole is not None else {})
@@ -80,7 +82,7 @@ def _summed(
 
 
 @dataclass(frozen=True)
-class _Grouped:
+class _RowsByStep:
     """Rows of one kind in the order of their steps: `first`[k] is where step k begins, `count`[k] how many it has."""
 
     rows: LogRows
@@ -88,10 +90,10 @@ class _Grouped:
     count: Ints
 
 
-class _Reader:
+class _BlockReader:
     """Turns rows into blocks as soon as their steps are complete, which the network row of a step says."""
 
-    def __init__(self, interned: Interned, rtol: float) -> None:
+    def __init__(self, interned: InternedNames, rtol: float) -> None:
         self.ledger = Ledger(rtol=rtol)
         self._interned = interned
         self._waiting: dict[RowKind, LogRows] = {}
@@ -153,7 +155,7 @@ class _Reader:
             )
         self._next = int(steps[-1]) + 1
 
-    def _own(self, kind: RowKind, rows: LogRows, steps: Ints) -> _Grouped:
+    def _own(self, kind: RowKind, rows: LogRows, steps: Ints) -> _RowsByStep:
         """The rows of the steps there are."""
         place = np.minimum(np.searchsorted(steps, rows.step), len(steps) - 1)
         known = steps[place] == rows.step
@@ -165,7 +167,7 @@ class _Reader:
             rows = rows.take(known)
         return _grouped(rows, steps)
 
-    def _book(self, grouped: dict[RowKind, _Grouped]) -> None:
+    def _book(self, grouped: dict[RowKind, _RowsByStep]) -> None:
         """Book runs of steps of one booking between events, in order."""
         network = grouped[RowKind.NETWORK].rows
         middle = network.values("t0") + 0.5 * network.values("h")
@@ -193,7 +195,7 @@ class _Reader:
         if not due.all():
             self._waiting[RowKind.EVENT] = events.take(~due)
 
-    def _book_run(self, grouped: dict[RowKind, _Grouped], a: int, b: int) -> None:
+    def _book_run(self, grouped: dict[RowKind, _RowsByStep], a: int, b: int) -> None:
         """Book steps a..b-1, which have one booking, and hold the recorded rows against them."""
         n, tables = b - a, {}
         for kind, g in grouped.items():
@@ -290,16 +292,16 @@ def _index(rows: LogRows) -> Iterator[NDArray[Any]]:
         yield there
 
 
-def _grouped(rows: LogRows, steps: Ints) -> _Grouped:
+def _grouped(rows: LogRows, steps: Ints) -> _RowsByStep:
     place = np.searchsorted(steps, rows.step)
     count = np.bincount(place, minlength=len(steps))
     order = np.argsort(place, kind="stable")
     if (np.diff(place) < 0).any():
         rows = rows.take(order)
-    return _Grouped(rows, np.concatenate([[0], np.cumsum(count)[:-1]]), count)
+    return _RowsByStep(rows, np.concatenate([[0], np.cumsum(count)[:-1]]), count)
 
 
-def _changes(grouped: Mapping[RowKind, _Grouped]) -> set[int]:
+def _changes(grouped: Mapping[RowKind, _RowsByStep]) -> set[int]:
     """Steps at which the rows of a step are not those of the step before: other names, other columns filled."""
     edges = {0}
     for kind in _STEPPED:

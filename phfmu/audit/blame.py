@@ -22,7 +22,7 @@ import numpy as np
 from phfmu.audit.analysis import summarise
 from phfmu.audit.judge import DEFAULT_RTOL
 from phfmu.audit.kinds import Quality, RowKind
-from phfmu.audit.log.reading import Batches, Interned, LogRows
+from phfmu.audit.log.reading import Batches, InternedNames, LogRows
 from phfmu.audit.violation import COMPONENT, JUNCTION, Violation, ViolationKind
 from phfmu.words import first_few
 
@@ -117,9 +117,9 @@ class Blame:
 def blame(source: pa.Table | str | os.PathLike[str], rtol: float = DEFAULT_RTOL) -> Blame:
     """Net and gross energies of the junctions and members of an audit log; two passes, memory does not grow with it.
 
-    Errors: ValueError for what is not an audit log.
+    Errors: ValueError for a file that is not an audit log.
     """
-    found = _Gathering(*_kept(source))
+    found = _BlameSums(*_kept(source))
     batches = Batches(source)
     for batch in batches:
         found.take(batch, batches.interned)
@@ -140,7 +140,7 @@ def _kept(source: pa.Table | str | os.PathLike[str]) -> tuple[dict[int, str], tu
     return kept, (float(start), float(end))
 
 
-class _Gathering:
+class _BlameSums:
     """The sums of one pass; `kept`: by which test iterated steps were taken;  `span`: of the run (s)."""
 
     def __init__(self, kept: dict[int, str], span: tuple[float, float]):
@@ -151,7 +151,7 @@ class _Gathering:
         self._owners: dict[str, str] = {}
         self._divided: set[str] = set()
 
-    def take(self, batch: dict[RowKind, LogRows], interned: Interned) -> None:
+    def take(self, batch: dict[RowKind, LogRows], interned: InternedNames) -> None:
         """The rows of a batch."""
         if RowKind.PORT in batch:
             self._ports(batch[RowKind.PORT], interned)
@@ -160,7 +160,7 @@ class _Gathering:
         if RowKind.JUNCTION in batch:
             self._junctions(batch[RowKind.JUNCTION], interned)
 
-    def _ports(self, rows: LogRows, interned: Interned) -> None:
+    def _ports(self, rows: LogRows, interned: InternedNames) -> None:
         ends, energies = rows.values("t0") + rows.values("h"), rows.values("supplied")
         met = {*zip(rows.names["component"].tolist(), rows.names["junction"].tolist(), strict=True)}
         for component, junction in sorted(met):
@@ -190,7 +190,7 @@ class _Gathering:
             member.least, member.least_t = float(W[i]), float(times[i])
         member.net = float(W[-1])
 
-    def _parts(self, rows: LogRows, interned: Interned) -> None:
+    def _parts(self, rows: LogRows, interned: InternedNames) -> None:
         made = np.abs(rows.values("residual"))
         for code in np.unique(rows.names["part"]):
             predicted = interned.name(code) == _MISSED
@@ -214,7 +214,7 @@ class _Gathering:
             if any(chosen):
                 causes[cause] = causes.get(cause, 0.0) + float(made[np.array(chosen)].sum())
 
-    def _junctions(self, rows: LogRows, interned: Interned) -> None:
+    def _junctions(self, rows: LogRows, interned: InternedNames) -> None:
         for code in np.unique(rows.names["junction"]):
             own = rows.names["junction"] == code
             name, made = interned.name(code) or "", rows.values("residual")[own]
@@ -232,7 +232,7 @@ class _Gathering:
         return self.junctions.setdefault(name, JunctionBlame(name))
 
     def blame(self) -> Blame:
-        """Those that made most come first."""
+        """Sums of the run so far, those that made most first."""
         junctions = sorted(self.junctions.values(), key=lambda j: -j.gross)
         return Blame(junctions, sorted(self.members.values(), key=lambda m: m.least), owners=self._owners)
 
@@ -248,7 +248,7 @@ class Finding:
 
 
 def findings(found: Blame) -> list[Finding]:
-    """What books contradict comes first, then members that make energy, then what the coupling made, each by its size."""
+    """Findings of a run: contradictions of the ledger, members that make energy, energy made by the coupling, each by size."""
     makers = [f for f in _of_members(found) if f.accuses]
     stores = [f for f in _of_members(found) if not f.accuses]
     return [*_of_violations(found), *makers, *_of_junctions(found), *stores]

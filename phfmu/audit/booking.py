@@ -103,10 +103,6 @@ class Booking:
         return columns
 
     @cached_property
-    def with_ports(self) -> frozenset[str]:
-        return frozenset(port.component for port in self.ports)
-
-    @cached_property
     def estimated(self) -> frozenset[str]:
         return frozenset(port.component for port in self.ports if port.quality == Quality.ESTIMATED)
 

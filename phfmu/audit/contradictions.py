@@ -10,7 +10,7 @@ from phfmu.audit.booked_steps import BookedSteps
 from phfmu.audit.judge import EPS, ULPS
 from phfmu.audit.kinds import RowKind
 from phfmu.audit.ledger import Ledger
-from phfmu.audit.log.reading import Interned, LogRows
+from phfmu.audit.log.reading import InternedNames, LogRows
 from phfmu.audit.summing.sums import Floats
 from phfmu.audit.violation import Violation, ViolationKind
 from phfmu.words import counted
@@ -19,7 +19,7 @@ from phfmu.words import counted
 class Contradictions:
     """Holds recorded rows against the block that was made of them and judged again; tells the ledger what differs."""
 
-    def __init__(self, ledger: Ledger, interned: Interned) -> None:
+    def __init__(self, ledger: Ledger, interned: InternedNames) -> None:
         self._ledger, self._name = ledger, interned.name
         self._played = 0.0  # sum of all energies in play so far
 

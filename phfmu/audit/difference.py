@@ -74,9 +74,9 @@ def _shown(value: Any) -> str:
 
 def first_differences(was: pa.Table, now: pa.Table) -> list[Difference]:
     """All that differs in the first step or event with a difference: events, members in which it arose, all others."""
-    rows = {kind: (_Rows(was, kind), _Rows(now, kind)) for kind in STEPS}
+    rows = {kind: (_KindRows(was, kind), _KindRows(now, kind)) for kind in STEPS}
     found = [d for kind, (a, b) in rows.items() for d in _of_kind(kind, a, b)]
-    events = list(_of_kind(RowKind.EVENT, _Rows(was, RowKind.EVENT), _Rows(now, RowKind.EVENT)))
+    events = list(_of_kind(RowKind.EVENT, _KindRows(was, RowKind.EVENT), _KindRows(now, RowKind.EVENT)))
     first = min((d.time for d in (*found, *events)), default=0.0)
     found = [d for d in (*found, *events) if d.time == first]
     order = [RowKind.EVENT, *STEPS]  # what happens at the start of a step comes before it
@@ -93,7 +93,7 @@ def first_differences(was: pa.Table, now: pa.Table) -> list[Difference]:
     return sorted(found, key=place)
 
 
-class _Rows:
+class _KindRows:
     """The rows of one kind, in order of steps and names; events in order of time and as they were written."""
 
     def __init__(self, table: pa.Table, kind: RowKind):
@@ -134,7 +134,7 @@ class _Rows:
         return None if column is None else column[int(self.order[i])].as_py()
 
     def of_step(self, step: int | None) -> int:
-        """How many rows a step has."""
+        """Number of rows of a step."""
         return 0 if self.step is None else int((self.step == step).sum())
 
     def what(self, i: int) -> str:
@@ -148,7 +148,7 @@ class _Rows:
         return None if self.step is None else int(self.step[at]), float(self.time[at])
 
 
-def _of_kind(kind: RowKind, was: _Rows, now: _Rows) -> Iterator[Difference]:
+def _of_kind(kind: RowKind, was: _KindRows, now: _KindRows) -> Iterator[Difference]:
     """Differences in the first rows of a kind that have some, or the first row that only one log has."""
     n = min(was.n, now.n)
     bad = dict[str, NDArray[np.bool_]]()
@@ -172,7 +172,7 @@ def _of_kind(kind: RowKind, was: _Rows, now: _Rows) -> Iterator[Difference]:
         yield Difference(kind, *longer.place(n), longer.what(n), "row", *texts)
 
 
-def _jump(was: _Rows, now: _Rows, i: int) -> float:
+def _jump(was: _KindRows, now: _KindRows, i: int) -> float:
     """By how much H1 - H0 - dH of a component differ, 0 for rounding or where energies are not told."""
     ends = [[rows.value(name, i) for name in ("H1", "H0", "dH")] for rows in (was, now)]
     if any(value is None for values in ends for value in values):

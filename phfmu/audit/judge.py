@@ -36,7 +36,7 @@ DEFAULT_RTOL, REACH_ULPS, ULPS, PARTS, DEVIATIONS, LEAST = (
 
 
 @dataclass(slots=True)
-class Account:
+class ComponentBalance:
     """The record of a component from step to step; energies in joule."""
 
     H_start: float
@@ -66,7 +66,7 @@ class Judge:
 
     def __init__(self, rtol: float = DEFAULT_RTOL) -> None:
         self.rtol = rtol
-        self.accounts: dict[str, Account] = {}
+        self.accounts: dict[str, ComponentBalance] = {}
         self.passed: dict[str, float] = {}  # most that passed through each junction in a step
         self.squares = CompensatedSum()  # of what may be unexplained in the steps
         self._found: dict[tuple[ViolationKind, str], Violation] = {}
@@ -118,12 +118,12 @@ class Judge:
         within = np.where([i >= 0 for i in own], allowed[:, own], np.inf) + self.rtol * np.abs(told)
         self._mark(ViolationKind.EXCHANGED, names, told - block.steps.pairs, within, block)
 
-    def _add(self, accounts: list[Account], columns: tuple[Floats, Floats, Floats, Floats]) -> None:
+    def _add(self, accounts: list[ComponentBalance], columns: tuple[Floats, Floats, Floats, Floats]) -> None:
         """To the sums of the run, all at once: what they cost is the call, where events make the blocks short."""
         sums = [a.gap for a in accounts], [a.missed for a in accounts], [a.squares for a in accounts]
         add([*chain(*sums), self.squares], np.concatenate(columns, axis=1))
 
-    def _relations(self, accounts: list[Account], inside: Floats, reach: Floats) -> Floats:
+    def _relations(self, accounts: list[ComponentBalance], inside: Floats, reach: Floats) -> Floats:
         """Energies in play in the network [n,c] where none has moved `inside` a component yet, else 0.
 
         It is a relation, as a junction is, solved with all others at once: a stop that holds a body at rest passes no energy
@@ -137,16 +137,16 @@ class Judge:
             account.moved = most
         return np.where(moved == 0.0, rows(reach)[:, None], 0.0)
 
-    def known(self, booking: Booking, H0: Floats) -> list[Account]:
+    def known(self, booking: Booking, H0: Floats) -> list[ComponentBalance]:
         """The accounts of the components; those that are new begin with the first row of H0 [n,c]."""
         for i, name in enumerate(booking.components):
             if name not in self.accounts:
-                self.accounts[name] = Account(float(H0[0, i]), float(H0[0, i]))
+                self.accounts[name] = ComponentBalance(float(H0[0, i]), float(H0[0, i]))
             if not booking.exact[i]:
                 self.accounts[name].quality = booking.quality(name)
         return [self.accounts[name] for name in booking.components]
 
-    def _changes(self, accounts: list[Account], block: BookedSteps, allowed: Floats, H: Floats) -> Floats:
+    def _changes(self, accounts: list[ComponentBalance], block: BookedSteps, allowed: Floats, H: Floats) -> Floats:
         """H from step to step and within each, against what is booked: the difference; `H` [n,c]: max(|H0|, |H1|)."""
         names, H1 = block.booking.components, block.steps.H
         before = np.empty_like(block.H0)
@@ -161,7 +161,7 @@ class Judge:
             account.largest, account.H_end, account.jumps = float(largest[-1, i]), float(H1[-1, i]), 0.0
         return between + within
 
-    def _turnover(self, accounts: list[Account], block: BookedSteps) -> Floats:
+    def _turnover(self, accounts: list[ComponentBalance], block: BookedSteps) -> Floats:
         """Sums up to each step [n,c] of what moved between the energies of a component: what these may have become by then."""
         moved = block.steps.moved
         steps = np.zeros_like(block.H0) if moved is None else np.abs(_or(0.0, np.asarray(moved, float)))
@@ -215,7 +215,7 @@ class Judge:
         sums = plain(works, list(divided.values()))
         self._mark(ViolationKind.PARTS, tuple(divided), block.junction_residual[:, at] - sums, permitted[:, at], block)
 
-    def _keep_worst(self, account: Account, block: BookedSteps, found: Floats, i: int) -> None:
+    def _keep_worst(self, account: ComponentBalance, block: BookedSteps, found: Floats, i: int) -> None:
         k = int(np.argmax(found))
         if found[k] > account.worst_ratio:
             account.worst_ratio, account.worst_residual = float(found[k]), float(block.residual[k, i])
@@ -271,7 +271,7 @@ class Judge:
             self.accounts[component].jumps += energy
 
     def violations(self, unexplained: float = 0.0) -> list[Violation]:
-        """All that does not close so far, also what is small in each step but not in the run; `unexplained`: in all of it."""
+        """Violations so far, also those that are small in each step but not in the run; `unexplained` [J]: in all of it."""
         found = list(self._found.values())
         for name, a in self.accounts.items():
             if a.quality is Quality.EXACT:
@@ -294,12 +294,12 @@ class Judge:
 
 
 def _rounding_of_H(largest: Any, turnover: Any) -> Any:
-    """How far H may be from what is booked of it; `ph_rounding_of_H`."""
+    """Bound on the difference between H and what is booked of it, by rounding [J]; `ph_rounding_of_H`."""
     return ULPS * EPS * largest + PARTS * EPS * turnover
 
 
 def _or(other: float, x: Floats) -> Floats:
-    """x, with `other` in place of what is not a finite number."""
+    """x, with `other` in place of numbers that are not finite."""
     return x if all_finite(x) else np.where(np.isfinite(x), x, other)
 
 

@@ -29,7 +29,7 @@ class RowKind(StrEnum):
 
 
 class Quality(StrEnum):
-    """How well the energy of a component, port or junction is known."""
+    """Quality of a known energy, of a component, port or junction."""
 
     EXACT = "exact"
     ESTIMATED = "estimated"  # a quadrature, not the step's own
@@ -48,7 +48,7 @@ class LedgerVerdict(StrEnum):
 
 
 class CellKind(StrEnum):
-    """How a value of a printed table is written and added up."""
+    """Kinds of values of a printed table, by which they are written and added up."""
 
     ENERGY = "energy"  # J, in the unit of the table
     RATIO = "ratio"

@@ -129,7 +129,7 @@ class LedgerSummary:
 
     @property
     def most(self) -> float:
-        """`share`, or what a junction misses of what is allowed: above 1 where the run is not closed."""
+        """The larger of `share` and the share that a junction has of what it is allowed; above 1 where the run is not closed."""
         return max([self.share, *(v.ratio for v in self.violations)])
 
     @property

@@ -87,7 +87,7 @@ class Violation:
 
     @property
     def ratio(self) -> float:
-        """|size| / allowed; infinite for what is not a finite number."""
+        """|size| / allowed; infinite where one of them is not a finite number."""
         return float(ratio(self.size, self.allowed))
 
     def __str__(self) -> str:

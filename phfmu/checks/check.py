@@ -53,7 +53,8 @@ def check(model: PHDAE, scheme: Scheme | None = None, *, strict: bool = False) -
 
     Matrices and energies are evaluated at the start and at seeded points around it, within the nominal size
     of each variable and with the parameters at their start values.  The equations are planned for `scheme`
-    (default: the default scheme of the model).  Never raises for a bad model; DeclarationError for what is none.
+    (default: the default scheme of the model).  Never raises for a bad model;
+    DeclarationError if `model` is no declaration.
     """
     found = _problems(require_declaration(model, "check"), scheme, strict)
     return found if strict else [p for p in found if p.severity == "error"]

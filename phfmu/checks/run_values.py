@@ -25,7 +25,7 @@ from phfmu.declare.error import Problem
 from phfmu.declare.phdae import PHDAE
 
 
-class Change(Protocol):
+class ValueChange(Protocol):
     """An event: at time t the parameter or input `name` takes `value`."""
 
     @property
@@ -37,7 +37,7 @@ class Change(Protocol):
 
 
 def check_values(
-    model: PHDAE, values: Mapping[str, float] | None = None, events: Sequence[Change] = ()
+    model: PHDAE, values: Mapping[str, float] | None = None, events: Sequence[ValueChange] = ()
 ) -> list[Problem]:
     """Problems of `model` with the start values `values` (as `with_starts`) and the parameter values of `events`.
 
@@ -82,7 +82,7 @@ def _not_skew(entry: Entry) -> bool:
     return entry.what is EntryKind.J and not (entry.expr + entry.expr.T).is_zero()
 
 
-def settings(model: PHDAE, events: Sequence[Change]) -> list[Setting]:
+def settings(model: PHDAE, events: Sequence[ValueChange]) -> list[Setting]:
     """The parameters at the start, then each time an event takes one beyond its values before."""
     names = [n for v in model.parameters for n in v.names()]
     place = {n: [i] for i, n in enumerate(names)}

@@ -133,7 +133,7 @@ class Sample:
         return z
 
     def at_start(self, expr: ca.SX) -> dict[str, float]:
-        """The values, at the start, of what `expr` depends on."""
+        """Values at the start of the variables that `expr` depends on."""
         wanted = {s.element_hash() for s in ca.symvar(expr)}
         pairs = [(symbols[j], values[0, j]) for symbols, values in zip((*self._symbols, time), self._values, strict=True)
                  for j in range(symbols.numel())]  # fmt: skip

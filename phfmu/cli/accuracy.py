@@ -10,7 +10,7 @@ from phfmu.outcome.status import StepFailure
 from phfmu.words import counted
 
 if TYPE_CHECKING:
-    from phfmu.runs.accuracy import Accuracy, Again, Change, Record
+    from phfmu.runs.accuracy import Accuracy, RefinementChange, RepeatRecord, RunRecord
     from phfmu.runs.options import Options
 
 #: most signals of which lines are printed
@@ -22,7 +22,7 @@ LOWER = 0.5
 
 
 def require_fit(args: argparse.Namespace) -> None:
-    """ValueError for options that give the rows of a run times of their own."""
+    """Raise ValueError for options that give the rows of a run times of their own."""
     if not args.accuracy:
         return
     for option, given in (("--ecco", args.ecco), ("--energy-rtol", args.energy_rtol)):
@@ -36,16 +36,16 @@ def require_fit(args: argparse.Namespace) -> None:
         )
 
 
-def recorded(args: argparse.Namespace, step: float) -> Record | None:
+def recorded(args: argparse.Namespace, step: float) -> RunRecord | None:
     """The recorder of the rows of the run that is to be compared, None without --accuracy."""
     if not args.accuracy:
         return None
-    from phfmu.runs.accuracy import Record
+    from phfmu.runs.accuracy import RunRecord
 
-    return Record(step)
+    return RunRecord(step)
 
 
-def print_accuracy(args: argparse.Namespace, record: Record, order: float | None, chosen: Options) -> None:
+def print_accuracy(args: argparse.Namespace, record: RunRecord, order: float | None, chosen: Options) -> None:
     """Runs again, in finer and in coarser steps; the table, and what it says of the finished run, whose rows are in `record`.
 
     order: as declared, None for units, whose errors are taken to be of order 1.  StepFailure of the finer run.
@@ -71,21 +71,21 @@ def print_accuracy(args: argparse.Namespace, record: Record, order: float | None
     _print(args, accuracy(record, finer, coarser, ratio, order if args.rtol is None else None), notes, chosen)
 
 
-def _again(args: argparse.Namespace, record: Record, factor: float) -> Again:
-    """The same run with other steps; its rows at the times of the record."""
+def _again(args: argparse.Namespace, record: RunRecord, factor: float) -> RepeatRecord:
+    """Run again with other steps and return the rows at the times of the record."""
     from phfmu.cli import options
     from phfmu.cli.job import job_of
-    from phfmu.cli.progress import Bar
+    from phfmu.cli.progress import ProgressBar
     from phfmu.cli.timeline import timeline
-    from phfmu.interrupt import Signals
-    from phfmu.runs.accuracy import Again
+    from phfmu.interrupt import DeferredInterrupt
+    from phfmu.runs.accuracy import RepeatRecord
     from phfmu.runs.loop import run
 
-    args, rows = _changed(args, record.step, factor), Again(record, record.step)
+    args, rows = _changed(args, record.step, factor), RepeatRecord(record, record.step)
     job = job_of(args)
     chosen, stepper = options.of_run(args, job.scene, whole=job.whole), job.build()
     events, inputs, _ = timeline(args, job.scene, stepper.settable())
-    with Signals() as signals, Bar("simulating again", chosen.stop) as bar:
+    with DeferredInterrupt() as signals, ProgressBar("simulating again", chosen.stop) as bar:
 
         def progress(t: float) -> None:
             bar(t)
@@ -140,7 +140,7 @@ def _print(args: argparse.Namespace, found: Accuracy, notes: list[str], chosen: 
         print(line)
 
 
-def _line(c: Change) -> str:
+def _line(c: RefinementChange) -> str:
     """The entries of its row behind the name."""
     order, error, part = "", "unknown", ""
     if c.error is not None:

@@ -37,7 +37,7 @@ _PLAIN = {
 _WITHOUT = ("accuracy",)
 
 
-class Checkpoints:
+class CheckpointFile:
     """The checkpoints of one run: reads that of --resume, writes one each --checkpoint seconds; nothing without both."""
 
     def __init__(self, args: argparse.Namespace):
@@ -59,7 +59,7 @@ class Checkpoints:
 
     @property
     def outputs(self) -> Mapping[str, Any]:
-        """Where the files of the run are that goes on."""
+        """Positions in the files of the run that goes on, {} for one that begins."""
         return {} if self.found is None else self.found["outputs"]
 
     def begin(self, stepper: Stepper, options: Options, marks: Callable[[], dict[str, Any]]) -> None:
@@ -114,7 +114,7 @@ class Checkpoints:
             raise ValueError("--sensitivity is not kept by a checkpoint yet; leave one of the two out")
 
     def _require_same(self, was: Mapping[str, Any]) -> None:
-        """ValueError where options, files or libraries are not those of the run that is to go on."""
+        """Raise ValueError where options, files or libraries are not those of the run that is to go on."""
         now, resume = self._head["origin"], self._args.resume
         differ = [
             f"--{name.replace('_', '-')} was {was['options'].get(name)!r}, is {now['options'].get(name)!r}"
@@ -151,7 +151,7 @@ def _model(stepper: Stepper, options: Options) -> dict[str, str]:
 
 
 def _read(path: Path, shown: str) -> tuple[dict[str, Any], Mapping[str, Any]]:
-    """What a checkpoint is of, and its data; ValueError for another or damaged file."""
+    """Head of a checkpoint, which tells its run, and its data; raises ValueError for another or damaged file."""
     if not path.is_file():
         raise ValueError(f"--resume {shown}: there is no such file; phfmu run --checkpoint SECONDS writes one")
     line, _, body = path.read_bytes().partition(b"\n")
@@ -168,8 +168,8 @@ def _read(path: Path, shown: str) -> tuple[dict[str, Any], Mapping[str, Any]]:
 
 
 def plain(body: bytes) -> Mapping[str, Any]:
-    """The data of a checkpoint; ValueError where it names anything but numbers and classes of phfmu."""
-    return _Plain(io.BytesIO(body)).load()
+    """Data of a checkpoint; raises ValueError where it names anything but numbers and classes of phfmu."""
+    return _PlainUnpickler(io.BytesIO(body)).load()
 
 
 #: modules whose classes stand in checkpoints -> where these are now
@@ -177,13 +177,20 @@ _MOVED = {
     f"phfmu.runs.{name}": f"phfmu.runs.march.{name}"
     for name in ("adaptive", "march", "restart", "ringing", "stretches")
 }
+#: classes in checkpoints, by module and earlier name -> their name now
+_RENAMED = {
+    ("phfmu.audit.judge", "Account"): "ComponentBalance",
+    ("phfmu.runs.march.adaptive", "Control"): "ControllerState",
+    ("phfmu.runs.march.march", "Place"): "MarchPosition",
+}
 
 
-class _Plain(pickle.Unpickler):
+class _PlainUnpickler(pickle.Unpickler):
     """Reads classes of phfmu and numbers, and calls nothing else."""
 
     def find_class(self, module: str, name: str) -> Any:
         module = _MOVED.get(module, module)
+        name = _RENAMED.get((module, name), name)
         if name in _PLAIN.get(module, ()):
             return super().find_class(module, name)
         found = super().find_class(module, name) if module.startswith("phfmu.") and "." not in name else None

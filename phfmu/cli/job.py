@@ -15,16 +15,21 @@ from phfmu.cli.sensitivity import names_of, require_equal_steps, sensitive, sens
 from phfmu.cli.settings import settings, with_settings
 from phfmu.cli.sound import require_sound_scene
 from phfmu.cli.stepping import (
-    Kernels,
+    SIGNAL_WORDS,
+    KernelReport,
     Stepping,
     as_fmu,
     asked_apart,
     engine_of,
     engines_asked,
     instance_of,
+    isolate_of,
     kernels_asked,
     parts_asked,
+    signals_asked,
     threads_asked,
+    tolerance_of,
+    with_unit_options,
 )
 from phfmu.network.couplings.coupling_table import AUTO, COUPLINGS, MONOLITHIC, NEWTON, CouplingRow
 from phfmu.target import is_fmu
@@ -45,7 +50,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Job:
-    """What a command line asks to run; `label`: for the run's head line; `whole`: one composed model, not units or members;
+    """Run that a command line asks for; `label`: for the run's head line; `whole`: one composed model, not units or members;
     `notes`: what is not as asked for, one line each, also of what `build` finds;  `order`: of the whole, None where units do
     not tell it.
 
@@ -58,7 +63,7 @@ class Job:
     build: Callable[[], Stepper]
     notes: list[str] = field(default_factory=list)
     order: float | None = None
-    kernels: Kernels = field(default_factory=Kernels)
+    kernels: KernelReport = field(default_factory=KernelReport)
 
 
 def label(schemes: Sequence[Any], engine: str, coupling: str, most: float = inf, held: str = "") -> str:
@@ -73,7 +78,7 @@ def label(schemes: Sequence[Any], engine: str, coupling: str, most: float = inf,
 
 
 def whole(args: argparse.Namespace, s: Scene, declaration: PHDAE, why: list[str]) -> Job:
-    scheme, engine, made = scheme_of(args, declaration), engine_of(args.engine), Kernels()
+    scheme, engine, made = scheme_of(args, declaration), engine_of(args.engine), KernelReport()
     kernels = kernels_asked(args, {engine})
     if getattr(args, "audit_detail", False):
         declaration = _by_term(declaration, scheme, engine)
@@ -96,7 +101,7 @@ def whole(args: argparse.Namespace, s: Scene, declaration: PHDAE, why: list[str]
 
 
 def _derived(args: argparse.Namespace, engine: str) -> str:
-    """What the head line says of derivatives; ValueError for options that these do not go with."""
+    """Words of the head line about derivatives; raises ValueError for options that these do not go with."""
     names = names_of(args)
     if not names:
         return ""
@@ -121,10 +126,6 @@ def _by_term(declaration: PHDAE, scheme: Scheme, engine: str) -> PHDAE:
     return by_term(declaration)
 
 
-#: s that a call into a unit in a process of its own may take, unless told
-ISOLATE = 60.0
-
-
 def unit(args: argparse.Namespace) -> Job:
     from phfmu.fmu.importer.reader import FMUInstance
     from phfmu.fmu.importer.unit_file import unit_file
@@ -142,24 +143,8 @@ def unit(args: argparse.Namespace) -> Job:
     return Job(fmu_scene(instance), words, False, lambda: FMUStepper(instance))
 
 
-def isolate_of(args: argparse.Namespace) -> float | None:
-    """s that a call into a unit in a process of its own may take; None: units run in this process."""
-    seconds = args.isolate_timeout
-    if seconds is not None and not seconds > 0:
-        raise ValueError(f"--isolate-timeout {seconds:g} s must be positive")
-    return ISOLATE if seconds is None and args.isolate else seconds
-
-
-def tolerance_of(args: argparse.Namespace) -> float | None:
-    """The relative tolerance that units are told of; None: their own."""
-    value = args.unit_tolerance
-    if value is not None and not 0 < value < inf:
-        raise ValueError(f"--unit-tolerance {value:g}: expected a positive number, e.g. 1e-6")
-    return value
-
-
 def _refuse_compiled_in(args: argparse.Namespace) -> None:
-    """ValueError for options that an FMU has compiled in."""
+    """Raise ValueError for options that an FMU has compiled in."""
     if asked_apart(args):
         raise ValueError(
             f"{args.target}: --member and --parts are for members of a network; an FMU has none to choose for"
@@ -176,15 +161,6 @@ def _refuse_compiled_in(args: argparse.Namespace) -> None:
             )
 
 
-#: of signals, for the head line
-SAID: dict[SignalExchange, str] = {
-    "extrapolated": "",
-    "held": ", signals held",
-    "agreed-or-extrapolated": ", signals iterated",
-    "agreed": ", signals iterated",
-}
-
-
 @dataclass(frozen=True)
 class _Members:
     """Members of a network that is stepped apart: how each is made, and whether it takes values at nodes."""
@@ -197,7 +173,7 @@ class _Members:
     step: float
     tried: Mapping[str, Rollback]
     kernels: str
-    made: Kernels
+    made: KernelReport
     steps: float
 
     @cached_property
@@ -272,13 +248,13 @@ def apart(
     stepping = Stepping(engine_of(args.engine), own_engines, parts_asked(args, declared))
     step = s.step if args.step is None else args.step
     threads, notes = threads_asked(args), [*why, *filter(None, [composed_words(network), _without_unit(s, declared)])]
-    engines, made = {stepping.engine_of(n) for n in network.declared}, Kernels()
+    engines, made = {stepping.engine_of(n) for n in network.declared}, KernelReport()
     kernels = kernels_asked(args, engines)
     members = _Members(args, network, coupling, schemes, stepping, step, tried, kernels, made, _steps(args, s))
     wires = held_wires(network, members.held) if coupling.nodes else network.wires
     circling = circling_units(network, wires) if name == NEWTON.name else []
     holds, stuck = bool(wires), [n for n, found in tried.items() if not found.works]
-    exchange, lines = _signals(args, network, stuck, holds, circling)
+    exchange, lines = signals_asked(args, network, stuck, holds, circling)
     notes += lines
 
     def build() -> Stepper:
@@ -289,7 +265,7 @@ def apart(
 
     most, alone = _kept(members, exchange if holds else None)
     words = coupling.held if most <= coupling.order else f"units of order {most:g}"
-    said = coupling.words + _number(network) + SAID[exchange]
+    said = coupling.words + _number(network) + SIGNAL_WORDS[exchange]
     head = label(list(schemes.values()), stepping.words, said, most, words)
     head += _derived(args, stepping.words)
     notes += _order_lost(args.order, coupling, most, [members.whole.why_held(n) for n in alone])
@@ -324,7 +300,7 @@ def _without_unit(s: Scene, network: Network) -> str:
 
 
 def _number(network: Network) -> str:
-    """How many members are composed to one, for the head line."""
+    """Number of members that are composed to one, for the head line."""
     from phfmu.network.couplings.choice.gathered import composed_members
 
     n = len(composed_members(network))
@@ -338,33 +314,6 @@ def _node_values(scheme: Scheme) -> bool:
 def _node_inputs(scheme: Scheme) -> bool:
     """Whether the unit of a member is exported with inputs at nodes: where steps have more than one."""
     return scheme.node_values and scheme.order > 2
-
-
-def _signals(
-    args: argparse.Namespace, network: Network, stuck: Sequence[str], held: bool, circling: Sequence[str]
-) -> tuple[SignalExchange, list[str]]:
-    """The course of signals over a step if some are `held`, and notes about it: `stuck` units cannot take steps back.
-
-    Signals are iterated where that is asked for, and where those of `circling` units come back to them.
-    ValueError where they are to be held and there are none.
-    """
-    if args.signals_held and not held:
-        raise ValueError(
-            f"{args.target}: --signals-held is for signals that members hold over steps, and there are none"
-        )
-    if args.signals_held:
-        return "held", []
-    ends = {end for w in network.wires for end in (w.source, w.target)}
-    asked = args.coupling == NEWTON.name and held and ends & set(network.units)
-    if not asked and circling and not stuck:
-        return "agreed-or-extrapolated", [
-            f"signals of {', '.join(circling)} come back to them: they are iterated (--signals-held holds them over steps)"
-        ]
-    if not asked:
-        return "extrapolated", []
-    if stuck:
-        return "extrapolated", [f"signals are not iterated: {', '.join(stuck)} cannot take steps back"]
-    return "agreed", []
 
 
 def _most(
@@ -409,7 +358,7 @@ def job_of(args: argparse.Namespace) -> Job:
         return unit(args)
     s = scene_of(args)
     s, steady = _in_steady_steps(args, with_given(args, s))
-    s = replace(s, system=_with_unit_options(args, s.system))
+    s = replace(s, system=with_unit_options(args, s.system))
     require_sound_scene(args, s)
     tried = _tried(args, s)
     row, why = _coupling(args, s, {n: found.words for n, found in tried.items() if not found.works})
@@ -433,7 +382,7 @@ def job_of(args: argparse.Namespace) -> Job:
 
 
 def _require_whole(args: argparse.Namespace) -> None:
-    """ValueError for details that only one composed model has."""
+    """Raise ValueError for details that only one composed model has."""
     if getattr(args, "audit_detail", False):
         raise ValueError(
             f"{args.target}: --audit-detail tells energies and resistors of one composed model by themselves; members that are "
@@ -461,20 +410,6 @@ def _in_steady_steps(args: argparse.Namespace, s: Scene) -> tuple[Scene, list[st
         return s, [f"begins in the operating point of the equations: {failure}"]
     line = f"begins in the steady state of steps of {step:g} s, at {found.omega / (2.0 * pi):.9g} Hz"
     return replace(s, system=replace(found.started(), description=s.system.description)), [line]
-
-
-def _with_unit_options(args: argparse.Namespace, system: Any) -> Any:
-    """The system with its units in processes of their own, or with a tolerance, if that is asked for."""
-    from phfmu.network.network import Network
-
-    seconds, tolerance = isolate_of(args), tolerance_of(args)
-    if seconds is None and tolerance is None:
-        return system
-    if not isinstance(system, Network) or not system.units:
-        option = "--isolate" if tolerance is None else "--unit-tolerance"
-        raise ValueError(f"{args.target}: {option} is for FMUs, and there is none in it")
-    own = {n: replace(file, isolate=seconds, tolerance=tolerance) for n, file in system.units.items()}
-    return replace(system, members={n: own.get(n, m) for n, m in system.members.items()})
 
 
 def _tried(args: argparse.Namespace, s: Scene) -> dict[str, Rollback]:

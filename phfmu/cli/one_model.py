@@ -33,7 +33,7 @@ class OneModel:
 
 @dataclass(frozen=True)
 class MembersApart:
-    """The same with the network whose members are stepped apart; instance(steps): a `Coupled` of it."""
+    """A scene with its network, whose members are stepped apart, and the step [s]; instance(steps): a `Coupled` of it."""
 
     scene: Scene
     model: Network
@@ -77,7 +77,7 @@ def _sound_scene(args: argparse.Namespace) -> Scene:
 
 
 def members_apart(args: argparse.Namespace, coupling: str) -> MembersApart:
-    """The network of the target with all members stepped apart, units among them; ValueError for what is no network."""
+    """The network of the target with all members stepped apart, units among them; raises ValueError if it is no network."""
     from phfmu.cli.options import scheme_of
     from phfmu.cli.stepping import engine_of, instance_of
     from phfmu.discretise.model import build_model

@@ -18,7 +18,7 @@ from phfmu.runs.carried import carried, carry
 
 if TYPE_CHECKING:
     from phfmu.audit import AuditWriter
-    from phfmu.cli.checkpoints import Checkpoints
+    from phfmu.cli.checkpoints import CheckpointFile
     from phfmu.declare.shape import Shape
     from phfmu.network.scene import Event
     from phfmu.report.live_recording import LiveRecording
@@ -35,7 +35,7 @@ class Outputs:
     what was accepted, and a note of the exception says what that is. Without a row nothing is left.
     """
 
-    def __init__(self, args: argparse.Namespace, checkpoints: Checkpoints):
+    def __init__(self, args: argparse.Namespace, checkpoints: CheckpointFile):
         self._checkpoints = checkpoints
         audit = audit_file(args)
         self._shown = {"-o": args.output, "--audit": audit, "--plot": args.plot, "--view": args.view}

@@ -1,4 +1,4 @@
-"""How far long work has come: told on a terminal, nothing in a pipe; and before a very long run, what is coming, anywhere."""
+"""Progress of long work: told on a terminal, nothing in a pipe; and before a very long run, what is coming, anywhere."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ LONG = 10_000_000
 BYTES = {".csv": 16, ".parquet": 7}
 
 
-class Bar(ExitStack):
+class ProgressBar(ExitStack):
     """A bar for work of `total`, called with how much is done; `quiet`: none."""
 
     def __init__(self, what: str, total: float, quiet: bool = False):
@@ -35,10 +35,10 @@ class Bar(ExitStack):
             self._bar.update(self._task, completed=done)
 
 
-class Line:
-    """One line that says what is at work; gone at the end."""
+class StatusLine:
+    """Line of a terminal that says what is at work; it is gone at the end."""
 
-    def __enter__(self) -> Line:
+    def __enter__(self) -> StatusLine:
         self._show = sys.stderr.isatty()
         return self
 

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def names_of(args: argparse.Namespace) -> list[str]:
-    """What is derived by; none without the option."""
+    """Names that results are differentiated by; none without the option."""
     return listed(getattr(args, "sensitivity", None) or "")
 
 
@@ -23,7 +23,7 @@ def listed(text: str) -> list[str]:
 
 
 def require_equal_steps(args: argparse.Namespace, engine: str) -> None:
-    """ValueError for options that derivatives do not go with."""
+    """Raise ValueError for options that derivatives do not go with."""
     odd = {
         "--rtol": args.rtol, "--dense": args.dense,
         "--audit-detail": args.audit_detail, "--engine fmu": engine == "fmu",

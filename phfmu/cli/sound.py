@@ -19,7 +19,7 @@ def add_no_check(parser: argparse.ArgumentParser) -> None:
 
 
 def require_sound(args: argparse.Namespace, declaration: PHDAE, events: Sequence[Event] | None = None) -> None:
-    """ValueError with the problems of the values of this run, as `phfmu check` tells them; none with --no-check.
+    """Raise ValueError with the problems of the values of this run, as `phfmu check` tells them; none with --no-check.
 
     `events`: what they make of the parameters; None: the start.
     """

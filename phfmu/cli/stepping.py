@@ -1,4 +1,4 @@
-"""How the declared members of a network are stepped: each with an engine of its own, in internal steps of its own.
+"""Options of stepping: the engine, kernels and internal steps of each declared member of a network, its coupling and units.
 
 The engine that steps a model: Python, native, or a unit that is exported for the run.
 """
@@ -8,13 +8,15 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from math import inf
 from typing import TYPE_CHECKING, Any
 
 from phfmu.words import meant
 
 if TYPE_CHECKING:
     from phfmu.declare.phdae import PHDAE
+    from phfmu.network.couplings.signals.sampled_signals import SignalExchange
     from phfmu.network.network import Network
 
 
@@ -76,7 +78,10 @@ def add_units(parser: argparse.ArgumentParser) -> None:
 
 @dataclass(frozen=True)
 class Stepping:
-    """engines, parts: by member, where they differ from `engine` and 1."""
+    """Engines and internal steps of members that are stepped apart.
+
+    engines, parts: by member, where they differ from `engine` and 1
+    """
 
     engine: str
     engines: Mapping[str, str]
@@ -102,7 +107,7 @@ def asked_apart(args: argparse.Namespace) -> bool:
 
 
 def engines_asked(args: argparse.Namespace, network: Network) -> dict[str, str]:
-    """--member; ValueError for what is no member or engine."""
+    """Engines of members by --member; raises ValueError for a name that is no member, and for no engine."""
     found = _pairs(args.member, "--member", "ENGINE", network)
     for name, engine in found.items():
         if engine not in ENGINES:
@@ -111,7 +116,7 @@ def engines_asked(args: argparse.Namespace, network: Network) -> dict[str, str]:
 
 
 def parts_asked(args: argparse.Namespace, network: Network) -> dict[str, int]:
-    """--parts; ValueError for what is no member or positive number."""
+    """Internal steps of members by --parts; raises ValueError for a name that is no member, and for no positive number."""
     out = {}
     for name, text in _pairs(args.parts, "--parts", "N", network).items():
         if not (text.isdecimal() and int(text) > 0):
@@ -121,10 +126,82 @@ def parts_asked(args: argparse.Namespace, network: Network) -> dict[str, int]:
 
 
 def threads_asked(args: argparse.Namespace) -> int | None:
-    """--threads; None: as many as pay.  ValueError below one."""
+    """Threads by --threads, None: as many as pay; raises ValueError below one."""
     if args.threads is not None and args.threads < 1:
         raise ValueError(f"--threads {args.threads}: expected a number of threads from 1")
     return args.threads
+
+
+#: s that a call into a unit in a process of its own may take, unless told
+ISOLATE = 60.0
+
+
+def isolate_of(args: argparse.Namespace) -> float | None:
+    """s that a call into a unit in a process of its own may take; None: units run in this process."""
+    seconds = args.isolate_timeout
+    if seconds is not None and not seconds > 0:
+        raise ValueError(f"--isolate-timeout {seconds:g} s must be positive")
+    return ISOLATE if seconds is None and args.isolate else seconds
+
+
+def tolerance_of(args: argparse.Namespace) -> float | None:
+    """The relative tolerance that units are told of; None: their own."""
+    value = args.unit_tolerance
+    if value is not None and not 0 < value < inf:
+        raise ValueError(f"--unit-tolerance {value:g}: expected a positive number, e.g. 1e-6")
+    return value
+
+
+def with_unit_options(args: argparse.Namespace, system: Any) -> Any:
+    """The system with its units in processes of their own, or with a tolerance, if that is asked for."""
+    from phfmu.network.network import Network
+
+    seconds, tolerance = isolate_of(args), tolerance_of(args)
+    if seconds is None and tolerance is None:
+        return system
+    if not isinstance(system, Network) or not system.units:
+        option = "--isolate" if tolerance is None else "--unit-tolerance"
+        raise ValueError(f"{args.target}: {option} is for FMUs, and there is none in it")
+    own = {n: replace(file, isolate=seconds, tolerance=tolerance) for n, file in system.units.items()}
+    return replace(system, members={n: own.get(n, m) for n, m in system.members.items()})
+
+
+#: the course of signals over a step, in words of the head line
+SIGNAL_WORDS: dict[SignalExchange, str] = {
+    "extrapolated": "",
+    "held": ", signals held",
+    "agreed-or-extrapolated": ", signals iterated",
+    "agreed": ", signals iterated",
+}
+
+
+def signals_asked(
+    args: argparse.Namespace, network: Network, stuck: Sequence[str], held: bool, circling: Sequence[str]
+) -> tuple[SignalExchange, list[str]]:
+    """The course of signals over a step if some are `held`, and notes about it: `stuck` units cannot take steps back.
+
+    Signals are iterated where that is asked for, and where those of `circling` units come back to them.
+    ValueError where they are to be held and there are none.
+    """
+    from phfmu.network.couplings.coupling_table import NEWTON
+
+    if args.signals_held and not held:
+        raise ValueError(
+            f"{args.target}: --signals-held is for signals that members hold over steps, and there are none"
+        )
+    if args.signals_held:
+        return "held", []
+    ends = {end for w in network.wires for end in (w.source, w.target)}
+    asked = args.coupling == NEWTON.name and held and ends & set(network.units)
+    if not asked and circling and not stuck:
+        return "agreed-or-extrapolated", [
+            f"signals of {', '.join(circling)} come back to them: they are iterated (--signals-held holds them over steps)"
+        ]
+    if not asked:
+        return "extrapolated", []
+    if stuck:
+        return "extrapolated", [f"signals are not iterated: {', '.join(stuck)} cannot take steps back"]
+    return "agreed", []
 
 
 def _pairs(items: list[str], option: str, what: str, network: Network) -> dict[str, str]:
@@ -173,15 +250,15 @@ def instance_of(model: Any, engine: str, kernels: Any = "auto", steps: float = 0
 
 
 def kernels_asked(args: argparse.Namespace, engines: Collection[str]) -> str:
-    """--kernels; ValueError where no engine that is asked for has a choice."""
+    """Way to run kernels by --kernels; raises ValueError where no engine that is asked for has a choice."""
     kernels = getattr(args, "kernels", "auto")
     if kernels != "auto" and "native" not in engines:
         raise ValueError(f"--kernels {kernels} is for the native engine, here it is {' and '.join(sorted(engines))}")
     return kernels
 
 
-class Kernels:
-    """How the kernels of instances run: said of a run, as they may change in it."""
+class KernelReport:
+    """Words of a run about its kernels, interpreted or compiled, which may change in it."""
 
     def __init__(self) -> None:
         self._instances: list[Any] = []

@@ -1,1 +1,1 @@
-"""From a declaration to plans: discrete gradients, schemes, and the planner."""
+"""Discretisation of a declaration: instants, models with their plans, consistent starts."""

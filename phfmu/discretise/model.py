@@ -91,11 +91,11 @@ class Model:
     instant_names: tuple[str, ...] = ()
     members: tuple[str, ...] = ("",)
     observable_names: tuple[str, ...] = ()
-    #: of the constraints that may rest: multiplier, and what the declaration calls it
+    #: multiplier and name in the declaration of each constraint that may rest
     hold_names: tuple[str, ...] = ()
     #: its state events, None without
     events: EventPlan | None = None
-    #: of a declaration with switches: the model of each mode; this one tells what they have in common, in the mode at the start
+    #: the models of the modes of a declaration with switches; this one has their common part, in the mode at the start
     modes: ModeModels[Model] | None = None
     #: the model of a declaration like this one whose plans these are; None: its own
     first: Model | None = None
@@ -104,7 +104,7 @@ class Model:
         return f"<Model {self.name}: {self.scheme.name}, order {self.scheme.order}; {repr(self.declaration)[1:-1]}>"
 
     def _repr_html_(self) -> str:
-        """For notebooks: the scheme and the declaration."""
+        """Table for notebooks: the scheme and the declaration."""
         return grid(f"Model {self.name}", ("scheme", "order"), [(self.scheme.name, str(self.scheme.order))]) + (
             self.declaration._repr_html_()
         )

@@ -1,9 +1,16 @@
 """The states within a step, as a linear map of its unknowns: the collocation polynomial
 
-x(t + tau h) = x + s0 + sum_j (int_0^tau l_j) D_j,     s0: impulses at bare nodes at the start of the step.
+x(t + tau h) = x + s0 + sum_j (int_0^tau l_j) D_j,     s0: impulses at bare nodes at the start of the step;
+
+and guards on it in Bernstein form, whose coefficients change their sign at least as often as a guard does (Descartes).
+Source: Lane, Riesenfeld, BIT 21 (1981).
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from math import comb
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,3 +43,29 @@ class Polynomial:
         np.add.at(out, self.state, weights * unknowns[self.w])  # one by one, as compiled code does
         np.add.at(out, self.start_state, unknowns[self.start_w])
         return out
+
+
+@dataclass(frozen=True)
+class GuardFit:
+    """Bernstein form of a guard over a step, by which compiled code isolates its zeros (runtime/events/event_roots.c).
+
+    `tau` (m+1): points from 0 to 1;  `whole`, `divided`: values there, and values/tau behind 0, to Bernstein coefficients.
+    """
+
+    tau: Array
+    whole: Array
+    divided: Array
+
+
+@cache
+def guard_fit(k: int) -> GuardFit:
+    """For steps with k nodes: 2k + 2 Chebyshev points with both ends."""
+    m = 2 * k + 1
+    tau = (1.0 - np.cos(np.pi * np.arange(m + 1) / m)) / 2.0
+    return GuardFit(tau, _bernstein(tau), _bernstein(tau[1:]))
+
+
+def _bernstein(tau: Array) -> Array:
+    """Coefficients of the Bernstein polynomials of degree n by the values at n + 1 points."""
+    n = len(tau) - 1
+    return np.linalg.inv(np.array([[comb(n, i) * t**i * (1 - t) ** (n - i) for i in range(n + 1)] for t in tau]))

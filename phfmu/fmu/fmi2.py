@@ -17,9 +17,9 @@ from fmpy.fmi2 import (
 )
 
 from phfmu.fmu.export import description
-from phfmu.fmu.export.description import Unit
+from phfmu.fmu.export.description import ExportedUnit
 from phfmu.fmu.export.variables import FMUError, FMUVariable
-from phfmu.fmu.importer.bindings import Lacking, require_essential
+from phfmu.fmu.importer.bindings import PartialBinding, require_essential
 from phfmu.fmu.importer.refusal import UnitCallError
 from phfmu.fmu.version import Caller
 from phfmu.fmu.xml import Element, etree, number, text_of
@@ -47,7 +47,7 @@ _LAST_SUCCESSFUL_TIME, _TERMINATED = 2, 3
 
 
 def model_description(
-    unit: Unit, number: str, token: tuple[str, str] | None = None, sources: Sequence[str] = ()
+    unit: ExportedUnit, number: str, token: tuple[str, str] | None = None, sources: Sequence[str] = ()
 ) -> bytes:
     """The document; without `token` (attribute, value) it is the text the token is made of.  `sources`: files to compile."""
     root = description.root(unit, number, token)
@@ -95,7 +95,7 @@ def _variable(parent: Element, reference: int, v: FMUVariable) -> None:
         real.set("start", number(v.start))
 
 
-class FMU2Library(Lacking, FMU2Slave):
+class FMU2Library(PartialBinding, FMU2Slave):
     """The binding of a library."""
 
 

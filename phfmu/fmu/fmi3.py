@@ -10,9 +10,9 @@ from typing import Any
 from fmpy.fmi3 import FMU3Slave
 
 from phfmu.fmu.export import description
-from phfmu.fmu.export.description import Unit
+from phfmu.fmu.export.description import ExportedUnit
 from phfmu.fmu.export.variables import FMUVariable
-from phfmu.fmu.importer.bindings import Lacking, require_essential
+from phfmu.fmu.importer.bindings import PartialBinding, require_essential
 from phfmu.fmu.importer.refusal import UnitCallError
 from phfmu.fmu.version import Caller
 from phfmu.fmu.xml import Element, etree, number, text_of
@@ -38,7 +38,7 @@ NEEDS = {
 
 
 def model_description(
-    unit: Unit, number: str, token: tuple[str, str] | None = None, sources: Sequence[str] = ()
+    unit: ExportedUnit, number: str, token: tuple[str, str] | None = None, sources: Sequence[str] = ()
 ) -> bytes:
     """The document; without `token` (attribute, value) it is the text the token is made of.
 
@@ -68,12 +68,12 @@ def model_description(
     return text_of(root)
 
 
-def _entries(unit: Unit, reference: int) -> tuple[FMUVariable, ...]:
+def _entries(unit: ExportedUnit, reference: int) -> tuple[FMUVariable, ...]:
     size = unit.spans[reference].size if reference in unit.spans else 1
     return unit.variables[reference : reference + size]
 
 
-def _array(parent: Element, reference: int, unit: Unit) -> None:
+def _array(parent: Element, reference: int, unit: ExportedUnit) -> None:
     """The entries as one variable; the nominal value is the largest of theirs, the standard has but one."""
     entries, span = _entries(unit, reference), unit.spans[reference]
     nominal = [v.nominal for v in entries if v.nominal is not None]
@@ -101,7 +101,7 @@ def _variable(parent: Element, reference: int, v: FMUVariable) -> Element:
     return scalar
 
 
-class FMU3Library(Lacking, FMU3Slave):
+class FMU3Library(PartialBinding, FMU3Slave):
     """The binding of a library."""
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from phfmu.network.network import Network
 from phfmu.operating.reactive_limits import Switching
-from phfmu.operating.rotation import BALANCED, TURN, Equations, three_phase
+from phfmu.operating.rotation import BALANCED, TURN, MemberEquations, three_phase
 from phfmu.operating.set_points import require_within_limits, solved_in_blocks
 from phfmu.operating.specifications import Specification
 from phfmu.operating.system import NoOperatingPoint, System
@@ -45,7 +45,7 @@ class NetworkPoint:
     currents: dict[str, Array]
     residuals: dict[str, float]
     iterations: int
-    _equations: dict[str, Equations] = field(repr=False)
+    _equations: dict[str, MemberEquations] = field(repr=False)
     limited: dict[str, float] = field(default_factory=dict)
 
     @property
@@ -97,7 +97,7 @@ class NetworkPoint:
         return out
 
     def drift(self, states: Mapping[str, float], t: float) -> dict[str, float]:
-        """How far each state of a later time t, turned back, is from the start, relative to the amplitude of its variable.
+        """Distance of each state of a later time t [s], turned back, from the start, relative to the amplitude of its variable.
 
         The amplitude is that of the start, or a thousandth of the nominal value where that is more.
         """

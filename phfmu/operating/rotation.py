@@ -69,7 +69,7 @@ class Sizes:
         return self.x + self.a + self.u + self.seen
 
 
-class Equations:
+class MemberEquations:
     """The equations out = (f, r, y, seen) of alike members in z = (x, a, u, p) at t = 0, with their Jacobian, and their rotation.
 
     f: rates of the states, r: algebraic rows, y: outputs of all pairs, seen: the observables that signals read.

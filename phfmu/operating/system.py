@@ -23,7 +23,7 @@ from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import Port
 from phfmu.network.junction import End, Junction
 from phfmu.network.network import Network
-from phfmu.operating.rotation import BALANCED, EQUIVARIANT, TURN, Equations, three_phase
+from phfmu.operating.rotation import BALANCED, EQUIVARIANT, TURN, MemberEquations, three_phase
 from phfmu.operating.specifications import Load, Specification
 from phfmu.signals import of_member, ordered_ports
 from phfmu.words import meant
@@ -41,10 +41,10 @@ class NoOperatingPoint(ValueError):
 
 
 @dataclass
-class Kind:
+class MemberGroup:
     """Members alike but for their numbers: `rows` and `places`, where each one's equations and z begin."""
 
-    equations: Equations
+    equations: MemberEquations
     members: list[str]
     rows: int = 0
     places: int = 0
@@ -90,15 +90,15 @@ class System:
 
     # -- unknowns and equations -----------------------------------------------------------------------------------
 
-    def _kinds(self) -> dict[tuple[Any, ...], Kind]:
+    def _kinds(self) -> dict[tuple[Any, ...], MemberGroup]:
         read: dict[str, list[str]] = {}
         for wire in self.net.wires:
             read.setdefault(wire.source, []).append(wire.output)
-        found: dict[tuple[Any, ...], Kind] = {}
+        found: dict[tuple[Any, ...], MemberGroup] = {}
         for name, model in self.declared.items():
             key = (*_shape(model), *read.get(name, ()))
             if key not in found:
-                found[key] = Kind(Equations(model, tuple(read.get(name, ()))), [])
+                found[key] = MemberGroup(MemberEquations(model, tuple(read.get(name, ()))), [])
             found[key].members.append(name)
         self.read = read
         return found
@@ -114,7 +114,7 @@ class System:
             for name in kind.members:
                 self._require_sources(name, e)
 
-    def _require_sources(self, name: str, e: Equations) -> None:
+    def _require_sources(self, name: str, e: MemberEquations) -> None:
         """Sources must turn with the frequency of the point; those that are not three-phase must stand."""
         p = np.array([s for v in self.declared[name].parameters for s in v.start])
         for port, k in e.ports:
@@ -144,7 +144,7 @@ class System:
         constant: list[float] = []
         self.place: dict[str, int] = {}
         self.output: dict[str, int] = {}
-        self.kind_of: dict[str, Equations] = {}
+        self.kind_of: dict[str, MemberEquations] = {}
         self.state_at: dict[str, int] = {}
         self.row_of: dict[str, int] = {}
         self.rates: list[tuple[int, int, int]] = []  #: row, unknown and number of the states of each member
@@ -169,7 +169,7 @@ class System:
                 self._outputs += n.rows
         self.constant = np.array(constant)
 
-    def _rotating(self, name: str, row: int, e: Equations) -> None:
+    def _rotating(self, name: str, row: int, e: MemberEquations) -> None:
         """- w (S x + c) in the rows of the rates."""
         at = self.state_at[name]
         for i, j in zip(*np.nonzero(e.S), strict=True):

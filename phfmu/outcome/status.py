@@ -46,7 +46,7 @@ def attempts(h: float, spent: int) -> str:
 
 
 class NoDerivative(ValueError):
-    """What happens at the time `t` (s) has none: a step whose equations depend on each other, or an event, and `why`."""
+    """A step or event at the time `t` [s] has no derivative, and `why`: its equations depend on each other, for example."""
 
     def __init__(self, t: float, why: str = ""):
         super().__init__(
@@ -162,7 +162,7 @@ HOLDS, MOVES = 1e-9, 1e-6
 
 
 @dataclass(frozen=True)
-class Remedy:
+class FailureRemedy:
     """For outcomes of one kind: `holds` says of a failure whether the advice is true for it."""
 
     status: Status
@@ -195,117 +195,117 @@ def _stalls(f: StepFailure) -> bool:
 UNITERATED = "take a smaller step, or --signals-held, so that signals are taken from the steps before"
 
 REMEDIES = (
-    Remedy(
+    FailureRemedy(
         Status.NO_CONVERGENCE,
         lambda f: bool(f.unsteady),
         "{unsteady}, so that no iteration converges: take --coupling gauss-seidel, which repeats no step, or ask its maker",
     ),
-    Remedy(
+    FailureRemedy(
         Status.NO_CONVERGENCE,
         _longer_worked,
         "steps of {longest:.3g} s were solved before this one of {asked:.3g} s, so a shorter one is no remedy: move events and "
         "input rows onto the grid of steps",
     ),
-    Remedy(
+    FailureRemedy(
         Status.NO_CONVERGENCE,
         _instant,
         "there is no solution near the values at this time: look at the start values, inputs and parameters of this equation",
     ),
-    Remedy(Status.NO_CONVERGENCE, lambda f: f.signals, UNITERATED),
-    Remedy(
+    FailureRemedy(Status.NO_CONVERGENCE, lambda f: f.signals, UNITERATED),
+    FailureRemedy(
         Status.NO_CONVERGENCE,
         lambda f: f.composable and _stalls(f),
         "the residual has stopped shrinking: compose the network (--coupling monolithic), or compare the sizes of members that "
         "meet there",
     ),
-    Remedy(
+    FailureRemedy(
         Status.NO_CONVERGENCE,
         lambda f: f.joined and _stalls(f),
         "the residual has stopped shrinking, and units cannot be composed: compare the sizes of members that meet there",
     ),
-    Remedy(
+    FailureRemedy(
         Status.NO_CONVERGENCE,
         lambda f: f.composable,
         "the iteration still moves: take a smaller step, or compose the network (--coupling monolithic)",
     ),
-    Remedy(Status.NO_CONVERGENCE, lambda f: f.joined, "the iteration still moves: take a smaller step"),
-    Remedy(
+    FailureRemedy(Status.NO_CONVERGENCE, lambda f: f.joined, "the iteration still moves: take a smaller step"),
+    FailureRemedy(
         Status.NO_CONVERGENCE,
         lambda f: f.ran_out,
         "the iterations of this step ran out before shorter substeps were tried, and each step has as many: take steps of "
         "{h:.3g} s or shorter, or --order 2 in place of 4 or 6",
     ),
-    Remedy(
+    FailureRemedy(
         Status.NO_CONVERGENCE,
         _at_rounding,
         "the equations hold while the unknowns still move, so something is hardly determined here (a singular configuration, "
         "nearly dependent constraints) and a smaller step is no remedy; a larger one may pass over it",
     ),
-    Remedy(
+    FailureRemedy(
         Status.NO_CONVERGENCE,
         _always,
         "substeps down to {h:.3g} s failed too, so a somewhat smaller step is no remedy: look at the inputs and the state near "
         "this time, which may run to a point without solution",
     ),
-    Remedy(
+    FailureRemedy(
         Status.GROWTH,
         lambda f: bool(f.put_off),
         "what {put_off} will do in a step is predicted, since it cannot take one back, and badly: put a softer element that "
         "stores energy where it is joined, export it with saved states, or try --coupling gauss-seidel",
     ),
-    Remedy(
+    FailureRemedy(
         Status.GROWTH,
         lambda f: f.composable,
         "members that step once with each other's old outputs make energy in long steps: take a much smaller step, or "
         "--coupling newton or monolithic, which make none at any step (gauss-seidel makes less than jacobi)",
     ),
-    Remedy(
+    FailureRemedy(
         Status.GROWTH,
         _always,
         "members that step once with each other's old outputs make energy in long steps: take a much smaller step, or "
         "--coupling newton if the units can save their state (gauss-seidel makes less than jacobi)",
     ),
-    Remedy(
+    FailureRemedy(
         Status.SINGULAR,
         lambda f: f.signals,
         "the loop of these signals has no unique solution (outputs follow inputs at once, with a gain of 1): put a delay or a "
         "filter into it, or " + UNITERATED,
     ),
-    Remedy(
+    FailureRemedy(
         Status.SINGULAR,
         lambda f: f.joined,
         "nothing determines what is shared there (ideal sources joined, or members without inertia, compliance or resistance): "
         "put an element that stores or dissipates between them",
     ),
-    Remedy(Status.SINGULAR, _always, "check that every unknown is determined by an equation (`phfmu check`)"),
-    Remedy(
+    FailureRemedy(Status.SINGULAR, _always, "check that every unknown is determined by an equation (`phfmu check`)"),
+    FailureRemedy(
         Status.NOT_FINITE,
         _instant,
         "check start values, inputs and parameters; H and its gradient must be finite there",
     ),
-    Remedy(
+    FailureRemedy(
         Status.NOT_FINITE,
         lambda f: f.joined,
         "check inputs and parameters of the members, or take a smaller step if a state leaves the domain of H",
     ),
-    Remedy(
+    FailureRemedy(
         Status.NOT_FINITE,
         _always,
         "check inputs and parameters; substeps down to {h:.3g} s failed too, so the state itself leaves the domain of H here",
     ),
-    Remedy(
+    FailureRemedy(
         Status.LU_CAPACITY,
         _always,
         "discretise the model again, so that the memory is planned for its present structure",
     ),
-    Remedy(Status.ABI, _always, "empty the cache folder (PHFMU_CACHE_DIR) and build again"),
-    Remedy(
+    FailureRemedy(Status.ABI, _always, "empty the cache folder (PHFMU_CACHE_DIR) and build again"),
+    FailureRemedy(
         Status.ARGUMENT,
         _always,
         "time and step must be finite, the parts at least 1, and node inputs need a Gauss scheme",
     ),
-    Remedy(Status.VALUE, _always, "look for its source: inputs, parameters and states must be numbers"),
-    Remedy(
+    FailureRemedy(Status.VALUE, _always, "look for its source: inputs, parameters and states must be numbers"),
+    FailureRemedy(
         Status.NO_SENSITIVITY,
         _always,
         "take a step first, a shorter one if most of its internal steps were halved, or use finite differences",

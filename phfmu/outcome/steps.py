@@ -99,7 +99,10 @@ class Steps:
 
     @classmethod
     def joined(cls, parts: Sequence[Steps]) -> Steps:
-        """One after the other; a part without numerical loss has 0 where others have one, other fields are of all parts."""
+        """The steps of parts, one after the other.
+
+        A part without numerical loss has 0 where others have one; other fields are kept where all parts have them.
+        """
         columns = {name: [getattr(p, name) for p in parts] for name in _ARRAYS}
         if any(lost is not None for lost in columns["numerical"]):
             columns["numerical"] = [np.zeros_like(p.H) if p.numerical is None else p.numerical for p in parts]

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from phfmu.declare.variable import Value
+from phfmu.declare.variable import ValueKind
 from phfmu.plan.unknown import ALGEBRAIC, COSTATE, INCREMENT, Role, Unknown
 from phfmu.terms.condense import CondensedVariables
 from phfmu.terms.located import Row, RowAt, ValueAt
@@ -161,7 +161,7 @@ class Layout:
         return np.array([u.nominal for u in self.unknowns], float).reshape(-1)
 
 
-#: by the kind of a row and of a value: (layout, index, node) -> where it is
+#: functions (layout, index, node) -> place, by the kind of a row and of a value
 _ROW: dict[Row, Callable[[Layout, int, int], int]] = {
     Row.BALANCE: lambda layout, i, node: layout.at(INCREMENT, i, node),
     Row.EQUATION: lambda layout, i, node: layout.at(ALGEBRAIC, i, node),
@@ -169,8 +169,8 @@ _ROW: dict[Row, Callable[[Layout, int, int], int]] = {
     Row.OBSERVABLE: lambda layout, i, node: layout.report(i),
     Row.CONDENSED: Layout.condensed_row,
 }
-_VALUE: dict[Value, Callable[[Layout, int, int], int]] = {
-    Value.COSTATE: Layout.costate,
-    Value.ALGEBRAIC: lambda layout, i, node: layout.at(ALGEBRAIC, i, node),
-    Value.INPUT: Layout.input_index,
+_VALUE: dict[ValueKind, Callable[[Layout, int, int], int]] = {
+    ValueKind.COSTATE: Layout.costate,
+    ValueKind.ALGEBRAIC: lambda layout, i, node: layout.at(ALGEBRAIC, i, node),
+    ValueKind.INPUT: Layout.input_index,
 }

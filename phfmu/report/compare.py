@@ -16,7 +16,7 @@ CLOSE = 1e-9
 
 
 @dataclass(frozen=True)
-class Difference:
+class SignalDifference:
     """The largest |a - b| of a signal, its time in s, the values there, and the magnitude it is measured by:
     that of the signal over both runs, see `compare`."""
 
@@ -44,7 +44,7 @@ class Difference:
 class Comparison:
     """Differences, largest relative one first; signals that only one of both has; what was done to compare, a line each."""
 
-    differences: list[Difference]
+    differences: list[SignalDifference]
     only_a: list[str]
     only_b: list[str]
     notes: list[str]
@@ -85,14 +85,14 @@ def common(a: Recording, b: Recording) -> list[str]:
     return [n for n in a.names if n in set(b.names)]
 
 
-def _difference(signal: Signal, t: NDArray[Any], x: NDArray[Any], y: NDArray[Any]) -> Difference:
+def _difference(signal: Signal, t: NDArray[Any], x: NDArray[Any], y: NDArray[Any]) -> SignalDifference:
     with np.errstate(invalid="ignore"):
         size = np.where((x == y) | (np.isnan(x) & np.isnan(y)), 0.0, np.abs(x - y))
     size = np.where(np.isnan(size), np.inf, size)
     at = int(np.argmax(size))
     finite = np.concatenate([x[np.isfinite(x)], y[np.isfinite(y)]])
     scale = float(np.abs(finite).max(initial=0.0))
-    return Difference(signal.name, float(size[at]), float(t[at]), float(x[at]), float(y[at]), scale, signal.unit)
+    return SignalDifference(signal.name, float(size[at]), float(t[at]), float(x[at]), float(y[at]), scale, signal.unit)
 
 
 def _together(a: Signal, b: Signal) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], bool]:

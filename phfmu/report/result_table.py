@@ -9,7 +9,7 @@ from phfmu.results.file import ResultFile
 
 
 class ResultTable:
-    """A table that `phfmu run -o` wrote. Errors: ValueError for what is none, is empty or was cut off."""
+    """A table that `phfmu run -o` wrote. Errors: ValueError for a file that is none, is empty or was cut off."""
 
     def __init__(self, path: str | os.PathLike[str]):
         self._file = ResultFile(path)

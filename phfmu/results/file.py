@@ -26,7 +26,7 @@ Array = NDArray[Any]
 def open_result(path: str | os.PathLike[str], signals: Sequence[str] = ()) -> Table:
     """The table that `phfmu run -o` or `Result.save` wrote; `signals`: names or patterns of the columns to read, none: all.
 
-    Errors: FileNotFoundError; ValueError for what is no such table, is empty or was cut off, and for unknown signals.
+    Errors: FileNotFoundError; ValueError for a file that is no such table, is empty or was cut off, and for unknown signals.
     """
     from phfmu.pick import pick
 
@@ -41,7 +41,7 @@ def open_result(path: str | os.PathLike[str], signals: Sequence[str] = ()) -> Ta
 
 
 class ResultFile:
-    """The columns of one file, read when they are asked for. Errors: ValueError for what is none, is empty or was cut off."""
+    """Columns of one file, read when they are asked for. Errors: ValueError for a file that is none, is empty or was cut off."""
 
     def __init__(self, path: str | os.PathLike[str]):
         self.path = Path(path)

@@ -23,7 +23,7 @@ Array = NDArray[Any]
 
 
 def check_table(path: str, option: str = "-o") -> None:
-    """ValueError if a table could not be written there; asked before a run, not after it."""
+    """Raise ValueError if a table could not be written there; asked before a run, not after it."""
     target = Path(path)
     if target.suffix not in (".csv", ".parquet"):
         raise ValueError(f"{option} {path}: the ending must be .csv or .parquet")
@@ -86,7 +86,7 @@ class TableWriter:
         return _Parquet(path, kinds) if self._target.suffix == ".parquet" else _CSV(path, kinds, self._units_row)
 
     def mark(self) -> dict[str, Any]:
-        """Where its stream is, all rows so far on the disk; for `going_on`."""
+        """Flush all rows to the disk and return the position of the stream, for `going_on`."""
         size = self._format.mark() if self._partial is not None else 0
         partial = None if self._partial is None else str(self._partial)
         return {"partial": partial, "size": size, "rows": self.rows, "last": self.last}

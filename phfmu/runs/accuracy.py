@@ -1,4 +1,4 @@
-"""How accurate a finished run is: it is compared with the same run in finer steps, row by row.
+"""Accuracy of a finished run by comparison with the same run in finer steps, row by row (Richardson extrapolation).
 
 With d = |y_h - y_(h/2)| and errors that shrink by r when the step is halved (r = 2^p at order p), the error of y_h is d r/(r - 1)
 (L. F. Richardson, Phil. Trans. R. Soc. A 210, 1911).  The r of each signal is observed where a run in coarser steps can be had,
@@ -34,7 +34,7 @@ NOT_COMPARED = ("constraint", "mark", "event")
 BOOKS = (".residual", ".gap", "energy.residual", "energy.gap")
 
 
-class Record:
+class RunRecord:
     """Rows of a run by their times, thinned evenly to what there is room for; takes what a run gives to `Options`."""
 
     def __init__(self, step: float, room: int = ROOM):
@@ -95,10 +95,10 @@ class Record:
         return time[last], rows[last], length[last]
 
 
-class Again(Record):
+class RepeatRecord(RunRecord):
     """Rows of another run of the same columns at the times of a record: `rows`, nan where it has none, and those `before`."""
 
-    def __init__(self, record: Record, step: float):
+    def __init__(self, record: RunRecord, step: float):
         super().__init__(step)
         self.at = record.table()[0]
         self.rows = self.before = np.zeros((0, 0))
@@ -131,7 +131,7 @@ class Again(Record):
 
 
 @dataclass(frozen=True)
-class Change:
+class RefinementChange:
     """The largest change of a signal by finer steps, when, what part of the range of the signal it is, and what follows.
 
     order: at which it shrinks with the step, None where that was not observed;  error: of the finished run, None where the
@@ -156,7 +156,7 @@ class Change:
 class Accuracy:
     """Changes by signal, largest part of the range first; how many signals were rounding; lines about events and times."""
 
-    changes: list[Change]
+    changes: list[RefinementChange]
     rounding: int
     notes: list[str]
     order: float | None
@@ -168,8 +168,10 @@ class Accuracy:
         return float(np.median(orders)) if orders else None
 
 
-def accuracy(record: Record, finer: Again, coarser: Again | None, ratio: float, order: float | None) -> Accuracy:
-    """How much the rows of a record change with finer steps.
+def accuracy(
+    record: RunRecord, finer: RepeatRecord, coarser: RepeatRecord | None, ratio: float, order: float | None
+) -> Accuracy:
+    """Changes of the rows of a record with finer steps.
 
     ratio: by how much errors shrink from it to `finer` if all is as declared;  order: as declared, None if nothing is
     """
@@ -194,7 +196,7 @@ def accuracy(record: Record, finer: Again, coarser: Again | None, ratio: float, 
         seen = r if np.isfinite(r) and d > ROUNDING * scale[j] else None
         p = None if seen is None else log2(max(seen, 1e-3))
         error = None if seen is not None and seen < LEAST else d * _tail(min(seen or ratio, ratio))
-        changes.append(Change(name, unit, d, float(time[i]), float(scale[j]), p, error))
+        changes.append(RefinementChange(name, unit, d, float(time[i]), float(scale[j]), p, error))
     changes.sort(key=lambda c: -c.relative)
     return Accuracy(changes, rounding, _notes(record, finer, len(time)), order)
 
@@ -203,7 +205,7 @@ def _tail(r: float) -> float:
     return r / (r - 1)
 
 
-def _matched(record: Record, rows: Array, length: Array, finer: Again) -> tuple[Array, NDArray[np.bool_]]:
+def _matched(record: RunRecord, rows: Array, length: Array, finer: RepeatRecord) -> tuple[Array, NDArray[np.bool_]]:
     """Values of the finer run at the times of the record, and which can be compared: means over the same steps only."""
     fine, usable = finer.rows.copy(), ~np.isnan(finer.rows) & ~np.isnan(rows)
     means = [j for j, kind in enumerate(record.kinds) if kind in ("mean", "algebraic")]
@@ -214,7 +216,7 @@ def _matched(record: Record, rows: Array, length: Array, finer: Again) -> tuple[
     return fine, usable
 
 
-def _ratios(rows: Array, size: Array, coarser: Again, kinds: Sequence[str]) -> Array:
+def _ratios(rows: Array, size: Array, coarser: RepeatRecord, kinds: Sequence[str]) -> Array:
     """By how much the changes of each signal shrink from coarser steps, nan where that is not known."""
     both = ~np.isnan(coarser.rows) & ~np.isnan(size)
     first = np.where(both, np.abs(coarser.rows - rows), 0.0).max(axis=0, initial=0.0)
@@ -231,7 +233,7 @@ def _between(time: Array, a: Sequence[float], b: Sequence[float]) -> NDArray[np.
     return out
 
 
-def _scales(record: Record) -> Array:
+def _scales(record: RunRecord) -> Array:
     """The range of each signal; of a constant its magnitude, of energies the largest range of all of them."""
     span = np.where(np.isfinite(record.low), record.high - record.low, 0.0)
     size = np.maximum(np.abs(record.low), np.abs(record.high))
@@ -240,7 +242,7 @@ def _scales(record: Record) -> Array:
     return np.where(energy, scale[energy].max(initial=0.0), scale)
 
 
-def _largest(record: Record, scale: Array) -> Array:
+def _largest(record: RunRecord, scale: Array) -> Array:
     """The largest scale of all signals in the same unit."""
     most: Mapping[str, float] = {
         u: max(float(s) for s, v in zip(scale, record.units, strict=True) if v == u) for u in set(record.units)
@@ -248,7 +250,7 @@ def _largest(record: Record, scale: Array) -> Array:
     return np.array([most[u] for u in record.units])
 
 
-def _notes(record: Record, finer: Again, rows: int) -> list[str]:
+def _notes(record: RunRecord, finer: RepeatRecord, rows: int) -> list[str]:
     """Lines about events that differ, and about the rows that were compared."""
     a, b, notes = record.happened, finer.happened, list[str]()
     if len(a) != len(b):

@@ -23,7 +23,7 @@ from phfmu.words import counted
 if TYPE_CHECKING:
     from phfmu.audit import Ledger
     from phfmu.audit.booking import Booking
-    from phfmu.audit.unbooked import Unbooked
+    from phfmu.audit.null_ledger import NullLedger
     from phfmu.discretise.start import Projection
 
 Array = NDArray[Any]
@@ -34,7 +34,7 @@ class Book:
 
     CARRIED = ("steps", "iterations", "_worst", "_H", "least", "_least", "notes", "given_up")
 
-    def __init__(self, stepper: Stepper, ledger: Ledger | Unbooked, tell: Callable[[float, str], None] | None = None):
+    def __init__(self, stepper: Stepper, ledger: Ledger | NullLedger, tell: Callable[[float, str], None] | None = None):
         self.stepper, self.ledger = stepper, ledger
         self._tell = tell
         self.steps, self.iterations = 0, 0.0
@@ -53,7 +53,7 @@ class Book:
 
     @property
     def booking(self) -> Booking:
-        """Of the stepper, which damping steps may give more parts."""
+        """The booking of the stepper, which damping steps may give more parts."""
         return self.stepper.booking
 
     def start(self) -> None:

@@ -1,4 +1,4 @@
-"""What a run carries from step to step: each class names its attributes in `CARRIED`; these two functions take and give them.
+"""State that a run carries from step to step: each class names its attributes in `CARRIED`; two functions take and give them.
 
 What a class with `CARRIED` has under these names is gone into; of a class without it that has `get_state`, that is it; in a list
 of such things each of them; an array keeps its place in memory, since others may share it; and everything else is kept as it
@@ -29,7 +29,7 @@ def carried(thing: Any) -> Any:
 
 
 def carry(thing: Any, found: Any) -> Any:
-    """`thing` goes on from what `carried` gave, possibly in another process; what stands in its place then."""
+    """Let `thing` go on from the data of `carried`, possibly of another process, and return what stands in its place then."""
     if hasattr(type(thing), "CARRIED"):
         for name, value in found.items():
             old = getattr(thing, name)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 class Checkpoints(Protocol):
-    """Keeps what `Carriers.now` gives; `found`: what a run that was ended has left, None for one that begins."""
+    """Keeps what `RunState.now` gives; `found`: what a run that was ended has left, None for one that begins."""
 
     found: Mapping[str, Any] | None
 
@@ -25,8 +25,8 @@ class Checkpoints(Protocol):
         ...
 
 
-class Carriers:
-    """All in a run that carries something from block to block, by name, and the number of the stretch under way."""
+class RunState:
+    """State of a run: all that carries something from block to block, by name, and the number of the stretch under way."""
 
     def __init__(self, **parts: Any):
         self._parts = parts
@@ -34,17 +34,17 @@ class Carriers:
         self.stretch, self.start = 0, cast("Any", None)
 
     def now(self) -> dict[str, Any]:
-        """What they carry."""
+        """The state of all parts, as data that can be written to a file."""
         return {"stretch": self.stretch, "start": self.start, **{n: carried(part) for n, part in self._parts.items()}}
 
     def take(self, found: Mapping[str, Any], *names: str) -> None:
-        """Some of them go on from what was found, in this order."""
+        """Let the parts of these names go on from the data `found`, in this order."""
         for name in names:
             carry(self._parts[name], found[name])
 
 
 def require_continued(stepper: Stepper) -> None:
-    """ValueError for a stepper whose state cannot be kept in a file, with the units that bar it."""
+    """Raise ValueError for a stepper whose state cannot be kept in a file, with the units that bar it."""
     if not hasattr(type(stepper), "CARRIED"):
         raise ValueError(f"--checkpoint: the state of {stepper.what} cannot be kept in a file; leave the option out")
     if stepper.unwritten:

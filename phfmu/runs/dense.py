@@ -30,7 +30,7 @@ SUMS = ("energy", "supplied", "dissipated", "residual")
 ROUNDING, DIVIDED = 1e-12, 1e-3
 
 
-class Dense:
+class DenseOutput:
     """Rows of the signal table at `rows` equal distances within each step."""
 
     def __init__(self, instance: Any, rows: int):

@@ -17,15 +17,15 @@ from phfmu.network.network import Network
 from phfmu.network.scene import Event, Scene
 from phfmu.outcome.status import EndRequested, StepFailure
 from phfmu.runs.book import Book
-from phfmu.runs.checkpoints import Carriers, require_continued
+from phfmu.runs.checkpoints import RunState, require_continued
 from phfmu.runs.inputs.following import following
 from phfmu.runs.march.event_steps import AdaptiveEventSteps, EventSteps
 from phfmu.runs.march.march import AdaptiveSteps, FixedSteps, step_rows
 from phfmu.runs.march.restart import monolithic
-from phfmu.runs.march.stretches import stretches
+from phfmu.runs.march.stretches import Stretch, stretches
 from phfmu.runs.options import Options
 from phfmu.runs.result import Result
-from phfmu.runs.rows import Rows, RunColumns
+from phfmu.runs.rows import RowBlocks, Rows, RunColumns
 from phfmu.words import counted
 
 if TYPE_CHECKING:
@@ -51,10 +51,10 @@ def run(stepper: Stepper, options: Options, *, inputs: Any = None, interpolate: 
 def _run(stepper: Stepper, options: Options, events: Callable[..., Iterator[Event]], notes: Sequence[str]) -> Result:
     """With the inputs in place; `events`: in order, all or from a time on; `notes`: what there is to say about the inputs."""
     from phfmu.audit import Ledger
-    from phfmu.audit.unbooked import Unbooked
+    from phfmu.audit.null_ledger import NullLedger
 
     _check_events(stepper, options)
-    ledger = Ledger(options.sink, options.audit_rtol) if options.audited else Unbooked()
+    ledger = Ledger(options.sink, options.audit_rtol) if options.audited else NullLedger()
     told = RunColumns(stepper, options.signals, options.step)
     if options.columns is not None:
         options.columns(told.names, told.units, told.kinds, told.labels)
@@ -62,34 +62,29 @@ def _run(stepper: Stepper, options: Options, events: Callable[..., Iterator[Even
     march = _march(stepper, book, options)
     if options.hash_states:
         _hash_states(stepper, book, march, options)
-    before, projection = stepper.rest_changes(), None
-    carriers = Carriers(stepper=stepper, book=book, ledger=ledger, rows=rows, columns=told, march=march)
-    found = _kept(stepper, march, carriers, options)
+    state = RunState(stepper=stepper, book=book, ledger=ledger, rows=rows, columns=told, march=march)
+    state.start = None, stepper.rest_changes()
+    found = _kept(stepper, march, state, options)
     t0, stop, close = options.t0, options.stop, 1e-9 * options.step
     try:
         with dense_rows(stepper, options.dense):
             grid = stretches(lambda: segments(t0, stop, events(), close), options.step, march.takes_inputs)
-            for carriers.stretch, stretch in enumerate(grid):
-                if found is not None and carriers.stretch < found["stretch"]:
+            for state.stretch, stretch in enumerate(grid):
+                if found is not None and state.stretch < found["stretch"]:
                     continue
-                if found is not None and carriers.stretch == found["stretch"]:
-                    carriers.start = projection, before = found["start"]
-                    carriers.take(found, "stepper")
+                if found is not None and state.stretch == found["stretch"]:
+                    march_rows = _resumed(state, found, told, march, stretch)
+                elif stretch.start == t0:
+                    state.start = _begin(stepper, book, options, stretch.events, stretch.end), state.start[1]
                     told.begin(stretch)
-                    carriers.take(found, "book", "ledger", "rows", "columns", "march")
-                    march_rows = march.on(stretch)
+                    start = np.array([t0])
+                    rows.take(start, told.rows(start, stepper.read()[None], after=True), np.zeros(1, bool))
+                    march_rows = march.over(stretch, False)
                 else:
-                    if stretch.start == t0:
-                        projection = _begin(stepper, book, options, stretch.events, stretch.end)
-                        carriers.start = projection, before
-                    else:
-                        for e in stretch.events:
-                            book.set_value(e)
+                    for e in stretch.events:
+                        book.set_value(e)
                     told.begin(stretch)
-                    if stretch.start == t0:
-                        start = np.array([t0])
-                        rows.take(start, told.rows(start, stepper.read()[None], after=True), np.zeros(1, bool))
-                    march_rows = march.over(stretch, stretch.start > t0)
+                    march_rows = march.over(stretch, True)
                 for time, values, inside in march_rows:
                     rows.take(time, told.rows(time, values), inside)
     except EndRequested as end:
@@ -101,6 +96,7 @@ def _run(stepper: Stepper, options: Options, events: Callable[..., Iterator[Even
     finally:
         ledger.flush()
     rows.end()
+    projection, before = state.start
     time, values, inside = rows.joined(len(told.names))
     facts = march.facts()
     if options.dense is not None:
@@ -123,13 +119,22 @@ def _hash_states(stepper: Stepper, book: Book, march: Any, options: Options) -> 
     StateHashes(stepper, book, march, options)
 
 
-def _kept(stepper: Stepper, march: Any, carriers: Carriers, options: Options) -> Mapping[str, Any] | None:
-    """What a run that was ended has left, if this one goes on with it; the march tells when it is between two blocks."""
+def _kept(stepper: Stepper, march: Any, state: RunState, options: Options) -> Mapping[str, Any] | None:
+    """Checkpoint of the run that this one goes on with, if any; the march is made to tell when it is between two blocks."""
     if options.checkpoints is None:
         return None
     require_continued(stepper)
-    march.between_blocks = partial(options.checkpoints.between_blocks, carriers.now)
+    march.between_blocks = partial(options.checkpoints.between_blocks, state.now)
     return options.checkpoints.found
+
+
+def _resumed(state: RunState, found: Mapping[str, Any], told: RunColumns, march: Any, stretch: Stretch) -> RowBlocks:
+    """The rows of the stretch that the checkpoint `found` lies in, from there on."""
+    state.start = found["start"]
+    state.take(found, "stepper")
+    told.begin(stretch)
+    state.take(found, "book", "ledger", "rows", "columns", "march")
+    return march.on(stretch)
 
 
 def _ended(stepper: Stepper, book: Book, rows: Rows, told: RunColumns, end: EndRequested) -> str:
@@ -151,7 +156,7 @@ def _ended(stepper: Stepper, book: Book, rows: Rows, told: RunColumns, end: EndR
 def _march(
     stepper: Stepper, book: Book, options: Options
 ) -> FixedSteps | AdaptiveSteps | EventSteps | AdaptiveEventSteps:
-    """How the run gets from event to event."""
+    """The steps that get the run from event to event."""
     if stepper.lands and options.adaptive:
         return AdaptiveEventSteps(monolithic(stepper, "--rtol"), book, options)
     if stepper.lands:
@@ -176,10 +181,10 @@ def dense_rows(stepper: Stepper, rows: int | None) -> Iterator[None]:
     if rows is None:
         yield
         return
-    from phfmu.runs.dense import Dense
+    from phfmu.runs.dense import DenseOutput
 
     whole = monolithic(stepper, "--dense")
-    whole.between = Dense(whole.instance, rows).between
+    whole.between = DenseOutput(whole.instance, rows).between
     try:
         yield
     finally:
@@ -205,7 +210,7 @@ def segments(
 
 
 def _require_stepper(item: object) -> None:
-    """TypeError with the remedy for what only leads to a stepper."""
+    """Raise TypeError, with the remedy, for an item that only leads to a stepper."""
     if isinstance(item, str | PathLike | PHDAE | Scene | Network):
         name = str(getattr(item, "name", item))[:60]
         remedy = "Monolithic(model, NativeInstance(model)) with model = build_model(declaration)"
@@ -213,7 +218,7 @@ def _require_stepper(item: object) -> None:
 
 
 def _check_events(stepper: Stepper, options: Options) -> None:
-    """KeyError for unknown names, before the first step, of late events too."""
+    """Raise KeyError for unknown names, before the first step, of late events too."""
     known = with_bare(stepper.settable())
     for e in (e for e in options.events if e.name not in known):
         try:
@@ -233,7 +238,7 @@ def _unreached(late: Iterator[Event], stop: float) -> list[str]:
 
 
 def _rest_notes(before: dict[str, list[RestChange]], now: dict[str, list[RestChange]]) -> list[str]:
-    """How often other redundant constraints rested in a run or were needed again, and the last of these changes."""
+    """Lines about redundant constraints that rested in a run or were needed again: their number, and the last changes."""
     lines = []
     for name, changes in now.items():
         old = before[name][-1].number if before[name] else 0

@@ -1,4 +1,4 @@
-"""How a run goes: everything that `run` is told beside the stepper, checked in one place."""
+"""Options of a run: everything that `run` is told beside the stepper, checked in one place."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Options:
     happened:  called with time and message of each state event as it is booked
     checkpoints:  keeps where the run is between blocks, and where one that was ended goes on; see `checkpoints.py`
     progress:  called with the time after each block; a KeyboardInterrupt from it ends the run there
-    Errors: ValueError for what is out of range or does not go together.
+    Errors: ValueError for options that are out of range or do not go together.
     """
 
     stop: float

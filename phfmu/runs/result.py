@@ -11,7 +11,7 @@ from phfmu.results.table import Table
 
 if TYPE_CHECKING:
     from phfmu.audit import Ledger
-    from phfmu.audit.unbooked import Unbooked
+    from phfmu.audit.null_ledger import NullLedger
     from phfmu.discretise.start import Projection
 
 Array = NDArray[Any]
@@ -21,7 +21,7 @@ Array = NDArray[Any]
 class Result(Table):
     """Rows of a run, a table of its signals and free inputs; the ledger; step counts; how the start was projected."""
 
-    ledger: Ledger | Unbooked
+    ledger: Ledger | NullLedger
     steps: int
     iterations: float
     worst: dict[str, float] = field(default_factory=dict)

@@ -5,7 +5,7 @@ Their columns are the signals of the stepper and then its free inputs.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import cache, partial
 from typing import Any
 
@@ -21,7 +21,8 @@ from phfmu.runs.options import Options
 
 Array = NDArray[Any]
 #: (times, values, whether each row lies within a step)
-Row = tuple[Array, Array, Array]
+RowBlock = tuple[Array, Array, Array]
+RowBlocks = Iterator[RowBlock]
 
 #: rows that can be counted
 MOST = 2**62
@@ -36,8 +37,8 @@ class Rows:
         self._keep, self._progress = options.keep, options.progress
         self._t0, self._every, self._seen = options.t0, options.every, 0
         self._place = -1.0  # of the last row among the multiples of a distance in time
-        self._left_out: Row | None = None  # the last row, if it was not kept
-        self._blocks: list[Row] = []
+        self._left_out: RowBlock | None = None  # the last row, if it was not kept
+        self._blocks: list[RowBlock] = []
         self.last = np.nan
 
     def take(self, time: Array, values: Array, inside: Array) -> None:
@@ -76,8 +77,8 @@ class Rows:
         self._place = float(place[-1])
         return kept
 
-    def joined(self, width: int) -> Row:
-        """All rows that were not handed on."""
+    def joined(self, width: int) -> RowBlock:
+        """Rows that were not handed on, as one block."""
         if not self._blocks:
             return np.zeros(0), np.zeros((0, width)), np.zeros(0, bool)
         time, values, inside = (np.concatenate(parts) for parts in zip(*self._blocks, strict=True))

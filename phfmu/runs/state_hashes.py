@@ -18,7 +18,7 @@ from phfmu.audit.events import StateRow
 if TYPE_CHECKING:
     from phfmu.network.couplings.stepper import Stepper
     from phfmu.runs.book import Book
-    from phfmu.runs.march.march import Pace
+    from phfmu.runs.march.march import BlockSize
     from phfmu.runs.options import Options
 
 #: bytes of a hash: two states of one run are told apart but for 1 in 2^64
@@ -43,7 +43,7 @@ def hash_of_state(values: Mapping[str, float]) -> str:
 class March(Protocol):
     """The way from event to event, whose blocks end where hashes are due."""
 
-    pace: Pace
+    pace: BlockSize
 
 
 class StateHashes:

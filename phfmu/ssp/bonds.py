@@ -19,7 +19,7 @@ from math import isclose
 
 from phfmu.declare.port import Given, conjugate
 from phfmu.fmu.export.manifest import PortMap
-from phfmu.ssp.flat import Link
+from phfmu.ssp.flat import VariableLink
 from phfmu.ssp.structure import SSPError
 
 #: (member, port)
@@ -49,7 +49,7 @@ def joins_plainly(given: Sequence[Given]) -> bool:
     return len(given) == 2 and given[0] != given[1]
 
 
-class Ports:
+class PortVariables:
     """Ports of all units: which scalar of which port a variable is."""
 
     def __init__(self, ports: Mapping[str, Sequence[PortMap]]):
@@ -60,16 +60,16 @@ class Ports:
             for names, table in ((p.inputs, self._inputs), (p.outputs, self._outputs), (p.step_outputs, self._outputs)):
                 table.update({(end[0], n): _Pin(end, i, p) for i, n in enumerate(names)})
 
-    def input(self, link: Link) -> _Pin | None:
+    def input(self, link: VariableLink) -> _Pin | None:
         return self._inputs.get((link.target, link.input))
 
-    def output(self, link: Link) -> _Pin | None:
+    def output(self, link: VariableLink) -> _Pin | None:
         return self._outputs.get((link.source, link.output))
 
 
-def bonds(links: Sequence[Link], ports: Ports) -> tuple[list[Bond], list[Link]]:
+def bonds(links: Sequence[VariableLink], ports: PortVariables) -> tuple[list[Bond], list[VariableLink]]:
     """The bonds, and the links that are none.  SSPError for bonds that create power or leave pairs of a port open."""
-    ways: dict[tuple[End, End], list[tuple[Link, _Pin, _Pin]]] = {}
+    ways: dict[tuple[End, End], list[tuple[VariableLink, _Pin, _Pin]]] = {}
     rest = []
     for link in links:
         source, target = ports.output(link), ports.input(link)
@@ -88,7 +88,11 @@ def bonds(links: Sequence[Link], ports: Ports) -> tuple[list[Bond], list[Link]]:
 
 
 def _bond(
-    a: End, b: End, there: list[tuple[Link, _Pin, _Pin]], back: list[tuple[Link, _Pin, _Pin]], ports: Ports
+    a: End,
+    b: End,
+    there: list[tuple[VariableLink, _Pin, _Pin]],
+    back: list[tuple[VariableLink, _Pin, _Pin]],
+    ports: PortVariables,
 ) -> Bond:
     """The two ways between a and b as one bond."""
     pa, pb = ports.maps[a], ports.maps[b]
@@ -111,7 +115,7 @@ def _bond(
     return Bond(a, b, "0" if effort > 0 else "1")
 
 
-def _factor(way: list[tuple[Link, _Pin, _Pin]], a: End, b: End) -> float:
+def _factor(way: list[tuple[VariableLink, _Pin, _Pin]], a: End, b: End) -> float:
     found = {link.linear.factor for link, _, _ in way}
     if len(found) > 1 or any(link.linear.offset for link, _, _ in way):
         raise SSPError(f"{_name(a)} - {_name(b)}: one factor for all entries and no offset can join ports, not "
@@ -119,7 +123,9 @@ def _factor(way: list[tuple[Link, _Pin, _Pin]], a: End, b: End) -> float:
     return found.pop()
 
 
-def _powered(a: End, b: End, there: Link, back: Link, pa: PortMap, pb: PortMap, into: list[float]) -> str:
+def _powered(
+    a: End, b: End, there: VariableLink, back: VariableLink, pa: PortMap, pb: PortMap, into: list[float]
+) -> str:
     """Power is created, or a ratio would be needed that no junction has."""
     if not all(isclose(abs(g), 1.0, rel_tol=1e-9) for g in into):
         return (
@@ -143,7 +149,7 @@ def _name(end: End) -> str:
 Maps = dict[str, tuple[PortMap, ...]]
 
 
-def derived_ports(links: Sequence[Link], maps: Mapping[str, tuple[PortMap, ...]]) -> tuple[Maps, list[str]]:
+def derived_ports(links: Sequence[VariableLink], maps: Mapping[str, tuple[PortMap, ...]]) -> tuple[Maps, list[str]]:
     """The ports of all units, and a line for each that was derived; only units without any get some."""
     told: Maps = dict(maps)
     lines = []
@@ -167,7 +173,9 @@ def derived_ports(links: Sequence[Link], maps: Mapping[str, tuple[PortMap, ...]]
     return told, lines
 
 
-def _port(known: PortMap, there: Sequence[Link], back: Sequence[Link], taken: Sequence[str]) -> PortMap | None:
+def _port(
+    known: PortMap, there: Sequence[VariableLink], back: Sequence[VariableLink], taken: Sequence[str]
+) -> PortMap | None:
     """The other side of a port; None where the factors are no signs."""
     factors = {(a.linear.factor, b.linear.factor) for a, b in zip(there, back, strict=True)}
     if len(factors) > 1 or any(k.linear.offset for k in (*there, *back)):

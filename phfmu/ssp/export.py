@@ -17,17 +17,17 @@ from phfmu.network.scene import Scene
 from phfmu.schemes.scheme import Scheme
 from phfmu.ssp.bonds import joins_plainly
 from phfmu.ssp.flat import identifier
-from phfmu.ssp.kept import Kept
 from phfmu.ssp.names import DRAFT, VERSIONS
+from phfmu.ssp.round_trip import RoundTripContent
 from phfmu.ssp.structure import SSPError
 from phfmu.ssp.writing import Contents, write_package
 from phfmu.words import meant
 
 
 @dataclass(frozen=True)
-class Options:
-    """How units are exported: step, s; FMI version; platforms as in `phfmu.fmu.export.export`; `schemes`: by member; `outward`:
-    ports (`member.port`) whose flow counts out of their unit."""
+class PackageOptions:
+    """Options of the export of units: step, s; FMI version; platforms as in `phfmu.fmu.export.export`; `schemes`: by member;
+    `outward`: ports (`member.port`) whose flow counts out of their unit."""
 
     step: float
     fmi: str = "2.0"
@@ -45,7 +45,9 @@ def network_of(scene: Scene) -> Network:
     return net
 
 
-def export_ssp(scene: Scene, directory: str | Path, options: Options, version: str = "1.0") -> tuple[Path, list[str]]:
+def export_ssp(
+    scene: Scene, directory: str | Path, options: PackageOptions, version: str = "1.0"
+) -> tuple[Path, list[str]]:
     """Write `<name>.ssp` of SSP `version`; its path, and lines about what other tools will not find in it.
 
     Errors: SSPError; FMUError and those of the compiler for a member that cannot be exported.
@@ -59,7 +61,7 @@ def export_ssp(scene: Scene, directory: str | Path, options: Options, version: s
         units = replace(net, members={})
         for name in net.members:
             units.add(name, _unit(net, name, Path(folder), options, outward[name]))
-        kept = (scene.kept if isinstance(scene.kept, Kept) else Kept()).of_version(version)
+        kept = (scene.kept if isinstance(scene.kept, RoundTripContent) else RoundTripContent()).of_version(version)
         lines = [*kept.lost, *write_package(path, Contents(units, scene.stop, options.step, version, kept))]
     events = [f"event at t = {e.t:g} s, {e.name} = {e.value:g}: SSP has no events" for e in scene.events]
     return path, [*lines, *events]
@@ -96,7 +98,7 @@ def _inward(net: Network, end: End, outward: Sequence[str]) -> bool:
     return next(p.sign for p in member.port_maps if p.name == end.port) > 0
 
 
-def _unit(net: Network, name: str, folder: Path, options: Options, outward: list[str]) -> UnitFile:
+def _unit(net: Network, name: str, folder: Path, options: PackageOptions, outward: list[str]) -> UnitFile:
     """A member as a unit; observables that others read are outputs of it."""
     member = net.members[name]
     if not isinstance(member, PHDAE):

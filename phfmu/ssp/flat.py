@@ -16,16 +16,16 @@ from phfmu.fmu.words import plain
 from phfmu.ssp.structure import (
     SINKS,
     SOURCES,
+    AnnotatedJunction,
     Binding,
     Component,
     Connection,
     Connector,
-    Joint,
     Linear,
     Reference,
     SSPError,
+    SSPSystem,
     Structure,
-    System,
     Unit,
     entries,
 )
@@ -39,7 +39,7 @@ INOUT = "inout"
 
 
 @dataclass(frozen=True)
-class Place:
+class ElementConnector:
     """A connector of an element, as the system around it sees it: whether it gives or takes a value there."""
 
     path: Path
@@ -57,7 +57,7 @@ class Place:
         return ".".join((*self.path, self.connector.name))
 
 
-def connector_of(element: Component | System | Reference, name: str, where: str) -> Connector:
+def connector_of(element: Component | SSPSystem | Reference, name: str, where: str) -> Connector:
     """The connector `name` of an element, called `where` in messages; SSPError if there is none, or its direction is open."""
     found = element.connectors.get(name)
     if found is None:
@@ -70,8 +70,8 @@ def connector_of(element: Component | System | Reference, name: str, where: str)
 
 
 @dataclass(frozen=True)
-class Link:
-    """From an output of one unit to an input of another: input = linear(output); `terminal`: of terminals all the way."""
+class VariableLink:
+    """A link from an output of one unit to an input of another: input = linear(output); `terminal`: of terminals all the way."""
 
     source: str
     output: str
@@ -86,7 +86,7 @@ class Link:
 
 
 @dataclass(frozen=True)
-class Value:
+class StartValue:
     """The value of a variable before the start, in `unit` (None: in that of the variable)."""
 
     value: float
@@ -94,16 +94,16 @@ class Value:
 
 
 @dataclass(frozen=True)
-class Flat:
+class FlatStructure:
     """Units by the name of their member; `values`: member -> variable -> value; `joints`: ends are (member, port)."""
 
     units: dict[str, Component]
-    links: list[Link]
-    values: dict[str, dict[str, Value]] = field(default_factory=dict)
-    joints: tuple[Joint, ...] = ()
+    links: list[VariableLink]
+    values: dict[str, dict[str, StartValue]] = field(default_factory=dict)
+    joints: tuple[AnnotatedJunction, ...] = ()
 
 
-def flat(structure: Structure) -> Flat:
+def flat(structure: Structure) -> FlatStructure:
     """SSPError names elements and connectors that there are not, inputs that are fed twice, units that do not fit."""
     return _Flattening(structure).result()
 
@@ -116,26 +116,26 @@ class _Flattening:
         self.dictionaries = dict(_dictionaries(structure.system, ()))
         #: what feeds a connector: (path, name) -> (path, name), the map, and whether it is a connection of terminals
         self.fed: dict[tuple[Path, str], tuple[tuple[Path, str], Linear, bool]] = {}
-        self.values: dict[tuple[Path, str], Value] = {}
+        self.values: dict[tuple[Path, str], StartValue] = {}
 
-    def result(self) -> Flat:
+    def result(self) -> FlatStructure:
         self._connect(self.structure.system, ())
         self._bind(self.structure.system, ())
         links = []
         for path, name in list(self.fed):
             if path in self.names:
                 links += self._followed(path, name)
-        values: dict[str, dict[str, Value]] = {}
+        values: dict[str, dict[str, StartValue]] = {}
         for (path, name), value in self.values.items():
             if path in self.names:
                 values.setdefault(self.names[path], {})[name] = value
         units = {self.names[p]: c for p, c in self.components.items()}
         links += self._signals(self.structure.system, ())
-        return Flat(units, links, values, tuple(self._joints(self.structure.system, ())))
+        return FlatStructure(units, links, values, tuple(self._joints(self.structure.system, ())))
 
     # -- connections --------------------------------------------------------------------------------------------------
 
-    def _connect(self, system: System, path: Path) -> None:
+    def _connect(self, system: SSPSystem, path: Path) -> None:
         for c in (one for whole in system.connections for one in self._entries(system, path, whole)):
             a, b = (self._place(system, path, e, n) for e, n in c.ends)
             if a.gives == b.gives:
@@ -150,10 +150,10 @@ class _Flattening:
                 raise SSPError(f"{target} is fed twice: by {'.'.join((*other, name))} and by {source}")
             self.fed[key] = ((source.path, source.connector.name), self._linear(c, source, target), c.terminal)
         for name, element in system.elements.items():
-            if isinstance(element, System):
+            if isinstance(element, SSPSystem):
                 self._connect(element, (*path, name))
 
-    def _entries(self, system: System, path: Path, c: Connection) -> Iterator[Connection]:
+    def _entries(self, system: SSPSystem, path: Path, c: Connection) -> Iterator[Connection]:
         """The connection, or those of the entries of two arrays."""
         shapes = []
         for element, name in c.ends:
@@ -166,9 +166,9 @@ class _Flattening:
         for a, b in zip(*(entries(n, s) for (_, n), s in zip(c.ends, shapes, strict=True)), strict=True):
             yield replace(c, start_connector=a, end_connector=b)
 
-    def _place(self, system: System, path: Path, element: str, name: str) -> Place:
+    def _place(self, system: SSPSystem, path: Path, element: str, name: str) -> ElementConnector:
         if not element:
-            return Place(path, connector_of(system, name, ".".join(path) or system.name), True)
+            return ElementConnector(path, connector_of(system, name, ".".join(path) or system.name), True)
         if element not in system.elements:
             where = ".".join(path) or system.name
             raise SSPError(
@@ -177,9 +177,9 @@ class _Flattening:
         found, where = system.elements[element], ".".join((*path, element))
         if isinstance(found, Reference):
             return self._entry(found, path, name, where)
-        return Place((*path, element), connector_of(found, name, where), False)
+        return ElementConnector((*path, element), connector_of(found, name, where), False)
 
-    def _entry(self, reference: Reference, path: Path, name: str, where: str) -> Place:
+    def _entry(self, reference: Reference, path: Path, name: str, where: str) -> ElementConnector:
         """An entry of the dictionary of that name in this system, or in the nearest around it."""
         scopes = [
             s for s in (path[:n] for n in range(len(path), -1, -1)) if reference.dictionary in self.dictionaries[s]
@@ -193,9 +193,11 @@ class _Flattening:
             raise SSPError(
                 f"the signal dictionary '{reference.dictionary}' has no entry '{name}'; {meant(name, entries)}"
             )
-        return Place((*scopes[0], f"dictionary {reference.dictionary}"), connector_of(reference, name, where), False)
+        return ElementConnector(
+            (*scopes[0], f"dictionary {reference.dictionary}"), connector_of(reference, name, where), False
+        )
 
-    def _linear(self, c: Connection, source: Place, target: Place) -> Linear:
+    def _linear(self, c: Connection, source: ElementConnector, target: ElementConnector) -> Linear:
         """The transformation, after the conversion of units unless it stands for that."""
         a, b = (self._unit(p.connector) for p in (source, target))
         if c.suppress:
@@ -206,7 +208,7 @@ class _Flattening:
         known = self.structure.units.get(connector.unit)
         return known if known is not None else named(connector.unit)
 
-    def _followed(self, path: Path, name: str) -> Iterator[Link]:
+    def _followed(self, path: Path, name: str) -> Iterator[VariableLink]:
         """The link that ends at a variable of a unit; none where it begins at a connector of a system that nothing feeds."""
         at, linear, terminal, seen = (path, name), Linear(), True, set[tuple[Path, str]]()
         while at in self.fed:
@@ -216,18 +218,18 @@ class _Flattening:
             at, step, of_terminals = self.fed[at]
             linear, terminal = step.then(linear), terminal and of_terminals
             if at[0] in self.names:
-                yield Link(self.names[at[0]], at[1], self.names[path], name, linear, terminal)
+                yield VariableLink(self.names[at[0]], at[1], self.names[path], name, linear, terminal)
                 return
         if at in self.values:
             given = self.values[at]
-            self.values[path, name] = Value(linear(given.value), None)
+            self.values[path, name] = StartValue(linear(given.value), None)
 
     # -- values -------------------------------------------------------------------------------------------------------
 
-    def _bind(self, system: System, path: Path) -> None:
-        """Those of outer systems count more, of one element those of the last binding."""
+    def _bind(self, system: SSPSystem, path: Path) -> None:
+        """Bind values: outer systems override inner ones, and of one element the last binding counts."""
         for name, element in system.elements.items():
-            if isinstance(element, System):
+            if isinstance(element, SSPSystem):
                 self._bind(element, (*path, name))
             elif isinstance(element, Component):
                 for key, value in bound(element.bindings).items():
@@ -236,30 +238,30 @@ class _Flattening:
             for place, connector in _named_by(system, path, key):
                 self.values[place] = value if connector is None else self._at(value, connector)
 
-    def _at(self, value: Value, connector: Connector) -> Value:
+    def _at(self, value: StartValue, connector: Connector) -> StartValue:
         """The value in the unit of a connector of a system."""
         linear = conversion(value.unit, self._unit(connector), f"the value of '{connector.name}'")
-        return Value(linear(value.value), None)
+        return StartValue(linear(value.value), None)
 
     # -- junctions ----------------------------------------------------------------------------------------------------
 
-    def _joints(self, system: System, path: Path) -> Iterator[Joint]:
+    def _joints(self, system: SSPSystem, path: Path) -> Iterator[AnnotatedJunction]:
         for j in system.joints:
             ends = tuple((self._named(system, path, e, f"junction '{j.name}'"), port) for e, port in j.ends)
-            yield Joint(identifier("_".join((*path, j.name))), j.kind, ends)
+            yield AnnotatedJunction(identifier("_".join((*path, j.name))), j.kind, ends)
         for name, element in system.elements.items():
-            if isinstance(element, System):
+            if isinstance(element, SSPSystem):
                 yield from self._joints(element, (*path, name))
 
-    def _signals(self, system: System, path: Path) -> Iterator[Link]:
+    def _signals(self, system: SSPSystem, path: Path) -> Iterator[VariableLink]:
         for s in system.signals:
             a, b = (self._named(system, path, e, f"signal {n}") for e, n in (s.source, s.target))
-            yield Link(a, s.source[1], b, s.target[1], s.transformation)
+            yield VariableLink(a, s.source[1], b, s.target[1], s.transformation)
         for name, element in system.elements.items():
-            if isinstance(element, System):
+            if isinstance(element, SSPSystem):
                 yield from self._signals(element, (*path, name))
 
-    def _named(self, system: System, path: Path, element: str, what: str) -> str:
+    def _named(self, system: SSPSystem, path: Path, element: str, what: str) -> str:
         """The member that an annotation of a system calls by the name of its element."""
         if (*path, element) not in self.names:
             units = [n for n, e in system.elements.items() if isinstance(e, Component)]
@@ -267,18 +269,18 @@ class _Flattening:
         return self.names[*path, element]
 
 
-def _components(system: System, path: Path) -> Iterator[tuple[Path, Component]]:
+def _components(system: SSPSystem, path: Path) -> Iterator[tuple[Path, Component]]:
     for name, element in system.elements.items():
-        if isinstance(element, System):
+        if isinstance(element, SSPSystem):
             yield from _components(element, (*path, name))
         elif isinstance(element, Component):
             yield (*path, name), element
 
 
-def _dictionaries(system: System, path: Path) -> Iterator[tuple[Path, Mapping[str, tuple[str, ...]]]]:
+def _dictionaries(system: SSPSystem, path: Path) -> Iterator[tuple[Path, Mapping[str, tuple[str, ...]]]]:
     yield path, system.dictionaries
     for name, element in system.elements.items():
-        if isinstance(element, System):
+        if isinstance(element, SSPSystem):
             yield from _dictionaries(element, (*path, name))
 
 
@@ -300,15 +302,15 @@ def identifier(text: str) -> str:
     return name if name and not name[0].isdigit() else f"m_{name}"
 
 
-def bound(bindings: tuple[Binding, ...]) -> dict[str, Value]:
+def bound(bindings: tuple[Binding, ...]) -> dict[str, StartValue]:
     """The values of all bindings, of which the last counts most."""
-    out: dict[str, Value] = {}
+    out: dict[str, StartValue] = {}
     for b in bindings:
-        out |= {n: Value(v, b.units.get(n)) for n, v in b.values.items()}
+        out |= {n: StartValue(v, b.units.get(n)) for n, v in b.values.items()}
     return out
 
 
-def _named_by(system: System, path: Path, name: str) -> Iterator[tuple[tuple[Path, str], Connector | None]]:
+def _named_by(system: SSPSystem, path: Path, name: str) -> Iterator[tuple[tuple[Path, str], Connector | None]]:
     """All that a hierarchical name stands for: a connector, and what is behind the name of an element and a dot."""
     if name in system.connectors:
         yield (path, name), system.connectors[name]
@@ -316,7 +318,7 @@ def _named_by(system: System, path: Path, name: str) -> Iterator[tuple[tuple[Pat
         rest = name.removeprefix(f"{element}.")
         if rest == name:
             continue
-        if isinstance(inner, System):
+        if isinstance(inner, SSPSystem):
             yield from _named_by(inner, (*path, element), rest)
         elif isinstance(inner, Component):
             yield ((*path, element), rest), None

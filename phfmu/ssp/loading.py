@@ -13,10 +13,10 @@ from phfmu.network.junction import Kind
 from phfmu.network.network import Network
 from phfmu.network.scene import Scene
 from phfmu.network.wires import Wire, in_order
-from phfmu.ssp.bonds import Bond, End, Ports, bonds, derived_ports, joins_plainly
-from phfmu.ssp.flat import Link, Value, flat, identifier
+from phfmu.ssp.bonds import Bond, End, PortVariables, bonds, derived_ports, joins_plainly
+from phfmu.ssp.flat import StartValue, VariableLink, flat, identifier
 from phfmu.ssp.reading import read_structure
-from phfmu.ssp.structure import Component, Joint, SSPError, Structure, Unit
+from phfmu.ssp.structure import AnnotatedJunction, Component, SSPError, Structure, Unit
 from phfmu.ssp.terminals import KIND as TERMINAL
 from phfmu.ssp.units import conversion, undefined
 from phfmu.words import meant
@@ -46,7 +46,7 @@ def _load(structure: Structure) -> Scene:
         raise SSPError("the system has no components; add a Component whose source is an FMU")
     told, lines = derived_ports(whole.links, {n: u.port_maps for n, u in units.items()})
     units = {n: replace(u, port_maps=told[n]) for n, u in units.items()}
-    found, rest = bonds(whole.links, Ports(told))
+    found, rest = bonds(whole.links, PortVariables(told))
     notes += lines
     net = Network(identifier(structure.system.name or structure.name), description=structure.system.description)
     for name, unit in units.items():
@@ -92,7 +92,7 @@ def _unit_of(unit: UnitFile, name: str) -> Unit | None:
     return None if found is None else Unit(found.text, found.factor, 0.0, found.exponents)
 
 
-def with_values(name: str, unit: UnitFile, values: Mapping[str, Value], notes: list[str]) -> UnitFile:
+def with_values(name: str, unit: UnitFile, values: Mapping[str, StartValue], notes: list[str]) -> UnitFile:
     """Values before the start, in the unit's own units; the standard ignores names that a unit has not."""
     settable, starts = unit.settable_names(), {}
     for variable, value in values.items():
@@ -106,7 +106,7 @@ def with_values(name: str, unit: UnitFile, values: Mapping[str, Value], notes: l
     return unit.with_starts(starts)
 
 
-def _join(net: Network, joints: Sequence[Joint], found: Sequence[Bond]) -> None:
+def _join(net: Network, joints: Sequence[AnnotatedJunction], found: Sequence[Bond]) -> None:
     """Junctions of the annotation, which the connections must not contradict, then bonds it does not name."""
     left = {frozenset((b.a, b.b)): b for b in found}
     for j in joints:
@@ -125,7 +125,7 @@ def _join(net: Network, joints: Sequence[Joint], found: Sequence[Bond]) -> None:
         net.junction("_".join((*b.a, *b.b)), [_dotted(b.a), _dotted(b.b)], cast(Kind, b.kind))
 
 
-def _port(net: Network, joint: Joint, end: End) -> Port:
+def _port(net: Network, joint: AnnotatedJunction, end: End) -> Port:
     ports = {p.name: p for p in net.members[end[0]].ports}
     if end[1] not in ports:
         raise SSPError(f"the annotated junction '{joint.name}' names the port {_dotted(end)}; {meant(end[1], ports)}")
@@ -136,7 +136,7 @@ def _dotted(end: End) -> str:
     return ".".join(end)
 
 
-def _wire(net: Network, links: Sequence[Link]) -> None:
+def _wire(net: Network, links: Sequence[VariableLink]) -> None:
     """Connections that are no power ports: signals."""
     wires = []
     for link in links:

@@ -32,7 +32,7 @@ class Source:
 
 
 def bindings(element: Element, source: Source) -> tuple[Binding, ...]:
-    """Those of an element (system or component), the last counts most."""
+    """Bindings of an element (system or component), of which the last counts most."""
     listed = element.find(tag("ssd", "ParameterBindings"))
     return tuple(_binding(b, source) for b in (() if listed is None else listed))
 

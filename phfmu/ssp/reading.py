@@ -11,22 +11,22 @@ from phfmu.fmu import limits
 from phfmu.fmu.export.variables import FMUError
 from phfmu.fmu.words import plain
 from phfmu.fmu.xml import Element, parse
-from phfmu.ssp.kept import kept
 from phfmu.ssp.names import DEFINITION, DICTIONARY, FMU, NAMESPACES, PACKAGE, PORTS, tag
 from phfmu.ssp.package import Package, Within, open_package
 from phfmu.ssp.parameters import Source, bindings, document
+from phfmu.ssp.round_trip import round_trip_content
 from phfmu.ssp.schema import require_valid
 from phfmu.ssp.structure import (
+    AnnotatedJunction,
+    AnnotatedSignal,
     Component,
     Connection,
     Connector,
-    Joint,
     Linear,
     Reference,
-    Signal,
     SSPError,
+    SSPSystem,
     Structure,
-    System,
     Unit,
     entries,
 )
@@ -67,7 +67,7 @@ def _read(package: Package, where: str, notes: list[str], depth: int, lenient: b
 
 
 class _Reader:
-    """From tags to data; what lxml's schema checks is not checked again.  `depth`: descriptions around this one."""
+    """Reader of tags into data; what lxml's schema checks is not checked again.  `depth`: descriptions around this one."""
 
     def __init__(self, source: Source, depth: int):
         self.source, self.where, self.depth = source, source.where, depth
@@ -90,16 +90,16 @@ class _Reader:
             self._number(times["stopTime"], "stopTime") if "stopTime" in times else None,
             None if step is None else self._number(step, "step"),
             tuple(self.source.notes),
-            kept(root, self.source),
+            round_trip_content(root, self.source),
             self.source.lenient,
         )
 
-    def system(self, element: Element) -> System:
+    def system(self, element: Element) -> SSPSystem:
         name = plain(element.get("name", ""))
-        elements: dict[str, Component | System | Reference] = {}
+        elements: dict[str, Component | SSPSystem | Reference] = {}
         for child in _children(element, "Elements"):
             if child.tag == tag("ssd", "System"):
-                new: Component | System | Reference = self.system(child)
+                new: Component | SSPSystem | Reference = self.system(child)
             elif child.tag == tag("ssd", "Component"):
                 new = self.component(child)
             elif child.tag != tag("ssd", "SignalDictionaryReference"):
@@ -111,7 +111,7 @@ class _Reader:
                 raise SSPError(f"{self.where}: two elements of the system '{name}' are called '{new.name}'")
             elements[new.name] = new
         connectors, arrays = self.connectors(element, name)
-        return System(
+        return SSPSystem(
             name,
             elements,
             tuple(self.connections(element)),
@@ -129,7 +129,7 @@ class _Reader:
         root, _ = document(element, None, "ssb", DICTIONARY, self.source)
         return tuple(plain(e.get("name", "")) for e in root.findall(tag("ssb", "DictionaryEntry")))
 
-    def component(self, element: Element) -> Component | System:
+    def component(self, element: Element) -> Component | SSPSystem:
         name, kind, source = plain(element.get("name", "")), element.get("type", FMU), element.get("source", "")
         if kind in (PACKAGE, DEFINITION) and source:
             return self.nested(element, name, kind, source)
@@ -144,7 +144,7 @@ class _Reader:
         files = self.source.package
         return Component(name, source, files, connectors, bound, plain(element.get("description", "")), arrays)
 
-    def nested(self, element: Element, name: str, kind: str, source: str) -> System:
+    def nested(self, element: Element, name: str, kind: str, source: str) -> SSPSystem:
         """The system of another description, whose connectors the component has; what the component binds counts more."""
         if self.depth >= DEEPEST:
             raise SSPError(
@@ -174,7 +174,7 @@ class _Reader:
         return replace(found.system, name=name, bindings=bound)
 
     def connectors(self, element: Element, owner: str) -> tuple[dict[str, Connector], dict[str, tuple[int, ...]]]:
-        """Those of an element, of arrays their entries; and the sizes of the arrays."""
+        """Connectors of an element, of arrays their entries; and the sizes of the arrays."""
         found: dict[str, Connector] = {}
         arrays: dict[str, tuple[int, ...]] = {}
         for c in _children(element, "Connectors"):
@@ -202,7 +202,7 @@ class _Reader:
         return shape
 
     def connections(self, system: Element) -> Iterator[Connection]:
-        """Those of a system, those of terminals as those of their members."""
+        """Connections of a system, with those of terminals resolved into those of their members."""
         owners = {"": system} | {plain(e.get("name", "")): e for e in _children(system, "Elements")}
         terminals = {
             (owner, name): type_of(c, self.types, f"{self.where}: '{owner or plain(system.get('name', ''))}.{name}'")
@@ -231,18 +231,18 @@ class _Reader:
         )
         return Connection(*start, *end, linear, element.get("suppressUnitConversion", "") in TRUE)
 
-    def joint(self, element: Element) -> Joint:
+    def joint(self, element: Element) -> AnnotatedJunction:
         ends = tuple((plain(e.get("element", "")), plain(e.get("port", ""))) for e in element)
         name, kind = plain(element.get("name", "")), element.get("kind", "")
         if kind not in ("0", "1") or len(ends) < 2 or not name:
             raise SSPError(f"{self.where}: the annotation {PORTS} has a junction '{name}' of kind '{plain(kind)}' with "
                            f"{len(ends)} ends; expected a name, kind 0 or 1, and two ends at least")  # fmt: skip
-        return Joint(name, kind, ends)
+        return AnnotatedJunction(name, kind, ends)
 
-    def signal(self, element: Element) -> Signal:
+    def signal(self, element: Element) -> AnnotatedSignal:
         names = [plain(element.get(k, "")) for k in ("source", "output", "target", "input")]
         linear = Linear(*(self._number(element.get(k, d), k) for k, d in (("factor", "1"), ("offset", "0"))))
-        return Signal((names[0], names[1]), (names[2], names[3]), linear)
+        return AnnotatedSignal((names[0], names[1]), (names[2], names[3]), linear)
 
     def _number(self, text: str, what: str) -> float:
         try:

@@ -64,7 +64,7 @@ def entries(name: str, shape: tuple[int, ...]) -> list[str]:
 
 @dataclass(frozen=True)
 class Connection:
-    """Between connectors of elements, or (element "") of the system itself; `suppress`: no conversion of units;
+    """A connection of two connectors of elements, or (element "") of the system itself; `suppress`: no conversion of units;
     `terminal`: of members of two terminals.
     """
 
@@ -91,7 +91,7 @@ class Binding:
 
 
 @dataclass(frozen=True)
-class Joint:
+class AnnotatedJunction:
     """A junction of power ports, told by the annotation: kind "0" or "1", ends (element, port)."""
 
     name: str
@@ -100,7 +100,7 @@ class Joint:
 
 
 @dataclass(frozen=True)
-class Signal:
+class AnnotatedSignal:
     """A connection told by the annotation, because its source is no output: (element, variable) of both ends."""
 
     source: tuple[str, str]
@@ -140,16 +140,16 @@ class Reference:
 
 
 @dataclass(frozen=True)
-class System:
+class SSPSystem:
     """Elements in their order, and what connects them; `arrays` as of a component; `dictionaries`: name -> entries."""
 
     name: str
-    elements: Mapping[str, Component | System | Reference] = field(default_factory=dict)
+    elements: Mapping[str, Component | SSPSystem | Reference] = field(default_factory=dict)
     connections: tuple[Connection, ...] = ()
     connectors: Mapping[str, Connector] = field(default_factory=dict)
     bindings: tuple[Binding, ...] = ()
-    joints: tuple[Joint, ...] = ()
-    signals: tuple[Signal, ...] = ()
+    joints: tuple[AnnotatedJunction, ...] = ()
+    signals: tuple[AnnotatedSignal, ...] = ()
     description: str = ""
     arrays: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
     dictionaries: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
@@ -164,13 +164,13 @@ class Structure:
 
     version: str
     name: str
-    system: System
+    system: SSPSystem
     units: Mapping[str, Unit] = field(default_factory=dict)
     start: float = 0.0
     stop: float | None = None
     step: float | None = None
     notes: tuple[str, ...] = ()
-    #: what no run needs, to be written again (`kept.py`)
+    #: what no run needs, to be written again (`round_trip.py`)
     kept: object = None
     #: whether units of measurement that are not defined count as not told
     lenient: bool = False

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from math import isclose, isfinite
 
 from phfmu.declare.expressions.units import BASE, UnitError, parse_unit
-from phfmu.declare.expressions.units import Unit as Defined
+from phfmu.declare.expressions.units import PhysicalUnit as Defined
 from phfmu.fmu.words import plain
 from phfmu.fmu.xml import Element, etree, number
 from phfmu.ssp.names import tag
@@ -66,7 +66,7 @@ def write_units(parent: Element, kind: str, used: Mapping[str, Defined]) -> None
 
 
 def conversion(a: Unit | None, b: Unit | None, what: str) -> Linear:
-    """From values in a to values in b, `what` in words; nothing where one is not told.  rad counts as 1.
+    """The linear map of values in a to values in b, `what` in words; the identity where one is not told.  rad counts as 1.
 
     SSPError if they are not of one kind.
     """

@@ -28,8 +28,8 @@ from phfmu.network.junction import Junction
 from phfmu.network.network import Network
 from phfmu.network.wires import Wire
 from phfmu.ssp.bonds import joins_plainly
-from phfmu.ssp.kept import CONNECTION, CONNECTOR, META, VERBATIM, Kept
 from phfmu.ssp.names import DRAFT, NAMESPACES, PORTS, ROOTS, STRUCTURE, tag
+from phfmu.ssp.round_trip import CONNECTION, CONNECTOR, META, VERBATIM, RoundTripContent
 from phfmu.ssp.terminals import one_connection, write_connectors, write_terminals
 from phfmu.ssp.units import write_units
 
@@ -81,7 +81,7 @@ class Contents:
     stop: float
     step: float
     version: str = "1.0"
-    kept: Kept = Kept()
+    kept: RoundTripContent = RoundTripContent()
 
 
 def write_package(path: Path, contents: Contents) -> list[str]:
@@ -162,7 +162,7 @@ def parameter_set(values: Mapping[str, float], unit: UnitFile, version: str) -> 
 
 
 def _is_output(units: Mapping[str, UnitFile], wire: Wire) -> bool:
-    """Whether a signal begins at an output, as connections do."""
+    """True if a signal begins at an output, as connections do."""
     return units[wire.source].interface.variables[wire.output].causality == "output"
 
 
@@ -252,7 +252,7 @@ def _component(parent: Element, name: str, unit: UnitFile, contents: Contents) -
 
 
 def _told(unit: UnitFile, v: Scalar) -> bool:
-    """Whether the unit of a variable is one, and defined."""
+    """True if the unit of a variable is one, and defined."""
     return v.unit != "1" and v.unit in unit.interface.units
 
 

@@ -48,7 +48,7 @@ HEADER = Header(
 STOPPED = -2
 #: steps of a thread that earn what lanes take once: 10 to 50 ms for instances, books and programs
 PAYS = 20_000
-#: of each component: energies, see runs.h
+#: energies of each component, see runs.h
 ENERGIES = ("constant", "was", "now", "carry", "varying")
 
 

@@ -34,7 +34,7 @@ class Parts:
 
     def __init__(self, file: Path, key: str, *, resume: bool):
         self._folder, self._key = file.with_name(file.name + ".parts"), f"{key}\n"
-        #: how many runs are on disk
+        #: number of runs on disk
         self.runs = 0
         stamp = self._folder / "sweep"
         if self._folder.exists() and resume:

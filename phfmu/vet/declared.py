@@ -13,7 +13,7 @@ from phfmu.fmu.xml import parse
 
 
 @dataclass(frozen=True)
-class Declared:
+class DeclaredAttributes:
     """`abilities`: attributes of CoSimulation.  `limits`: variable -> (min, max), None where there is none.
 
     `dependencies`: output -> variables at the same instant that it depends on; None where the description leaves that open.
@@ -31,7 +31,7 @@ class Declared:
         return any(self.abilities.get(n) in TRUE for n in names)
 
 
-def declared(path: Path, version: str) -> Declared:
+def declared(path: Path, version: str) -> DeclaredAttributes:
     """The attributes; the archive has been opened and checked before."""
     with zipfile.ZipFile(path) as archive:
         root = parse(archive.read("modelDescription.xml"), f"{path.name}/modelDescription.xml")
@@ -48,7 +48,7 @@ def declared(path: Path, version: str) -> Declared:
         outputs, key = root.findall("ModelStructure/Output"), "valueReference"
     experiment = root.find("DefaultExperiment")
     types = {t.get("name"): t for t in root.iterfind("TypeDefinitions/*")}
-    return Declared(
+    return DeclaredAttributes(
         abilities=dict(told.attrib),
         limits={n: _limits(e, types) for n, e in numbers.items()},
         dependencies={
@@ -64,7 +64,7 @@ def declared(path: Path, version: str) -> Declared:
 
 
 def _limits(numbers: Any, types: Mapping[Any, Any]) -> tuple[float | None, float | None]:
-    """Of a variable itself, else of its declared type."""
+    """Limits (min, max) of a variable itself, else of its declared type."""
     own = types.get(numbers.get("declaredType"))
     of_type = {} if own is None else dict(next(iter(own), own).attrib) | dict(own.attrib)
     low, high = (numbers.get(k, of_type.get(k)) for k in ("min", "max"))

@@ -13,7 +13,7 @@ HOLDS, FALSE, UNTESTED = "holds", "false", "untested"
 
 
 @dataclass(frozen=True)
-class Finding:
+class ClaimFinding:
     """`verdict`: HOLDS, FALSE or UNTESTED;  `seen`: what was observed, with numbers, or why nothing was."""
 
     verdict: str
@@ -26,19 +26,19 @@ class Claim:
 
     name: str
     done: str
-    test: Callable[[Subject], Finding]
+    test: Callable[[Subject], ClaimFinding]
 
 
-def holds(seen: str) -> Finding:
+def holds(seen: str) -> ClaimFinding:
     """The claim was tried and is true of everything that was seen."""
-    return Finding(HOLDS, seen)
+    return ClaimFinding(HOLDS, seen)
 
 
-def false(seen: str) -> Finding:
+def false(seen: str) -> ClaimFinding:
     """The claim was tried and something that was seen contradicts it."""
-    return Finding(FALSE, seen)
+    return ClaimFinding(FALSE, seen)
 
 
-def untested(why: str) -> Finding:
+def untested(why: str) -> ClaimFinding:
     """The unit does not make this claim, or it could not be tried."""
-    return Finding(UNTESTED, why)
+    return ClaimFinding(UNTESTED, why)

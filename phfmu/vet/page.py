@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from html import escape
 
 from phfmu.vet.finding import FALSE, HOLDS, UNTESTED
-from phfmu.vet.process import Vetted
+from phfmu.vet.process import VettingResult
 
 #: verdict -> colour of its cell and mark
 _LOOKS = {HOLDS: ("#e3f4ec", "&#10003;"), FALSE: ("#fbe0dc", "&#10007;"), UNTESTED: ("#f2f2f2", "&ndash;")}
@@ -22,7 +22,7 @@ td:nth-child(4) { overflow-wrap: break-word; width: 46% }
 """
 
 
-def summary(vetted: Vetted) -> str:
+def summary(vetted: VettingResult) -> str:
     """`2 of 26 claims are false, 15 hold, 9 untested (12 s)`."""
     counts = Counter(f.verdict for _, f in vetted.findings)
     return (
@@ -31,14 +31,14 @@ def summary(vetted: Vetted) -> str:
     )
 
 
-def lines(vetted: Vetted) -> list[str]:
+def lines(vetted: VettingResult) -> list[str]:
     """A line for each claim: verdict, name, what was seen."""
     wide = max(len(c.name) for c, _ in vetted.findings)
     told = [f"  {f.verdict:<8}  {c.name:<{wide}}  {f.seen}" for c, f in vetted.findings]
     return [vetted.unit, *told, f"{vetted.unit}: {summary(vetted)}"]
 
 
-def page(units: Sequence[Vetted]) -> str:
+def page(units: Sequence[VettingResult]) -> str:
     """An HTML page with a table of claims for each unit."""
     parts = [_unit(u) for u in units]
     title = "Claims of units, tried"
@@ -49,7 +49,7 @@ def page(units: Sequence[Vetted]) -> str:
     )
 
 
-def _unit(vetted: Vetted) -> str:
+def _unit(vetted: VettingResult) -> str:
     rows = "".join(
         f'<tr style="background:{_LOOKS[f.verdict][0]}"><td>{escape(c.name)}</td>'
         f"<td>{_LOOKS[f.verdict][1]} {f.verdict}</td><td>{escape(c.done)}</td><td>{escape(f.seen)}</td></tr>"

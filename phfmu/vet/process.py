@@ -18,11 +18,11 @@ from typing import Any
 
 from phfmu.fmu.export.variables import FMUError
 from phfmu.fmu.importer.archive import open_archive
-from phfmu.fmu.isolation.child import Child, Late, Lost
+from phfmu.fmu.isolation.child import AnswerTimeout, Child, ProcessEnded
 from phfmu.fmu.isolation.unit_process import connected, read, write
 from phfmu.fmu.words import plain
 from phfmu.vet.claims.claims import CLAIMS
-from phfmu.vet.finding import FALSE, Claim, Finding, false, untested
+from phfmu.vet.finding import FALSE, Claim, ClaimFinding, false, untested
 from phfmu.vet.subject import Subject
 
 #: part of the time left that one claim may take, while more are to come
@@ -36,11 +36,11 @@ QUOTED = 2
 
 
 @dataclass(frozen=True)
-class Vetted:
+class VettingResult:
     """A unit with a finding for each claim, in order, and the seconds that it took."""
 
     unit: str
-    findings: tuple[tuple[Claim, Finding], ...]
+    findings: tuple[tuple[Claim, ClaimFinding], ...]
     seconds: float
 
     @property
@@ -49,7 +49,7 @@ class Vetted:
         return [claim.name for claim, finding in self.findings if finding.verdict == FALSE]
 
     def as_data(self) -> dict[str, Any]:
-        """What `--json` writes."""
+        """The data that `--json` writes."""
         told = [{"claim": c.name, "verdict": f.verdict, "seen": f.seen, "done": c.done} for c, f in self.findings]
         return {"unit": self.unit, "claims": told}
 
@@ -59,21 +59,21 @@ def vet(
     seconds: float = 60.0,
     claims: Sequence[Claim] = CLAIMS,
     progress: Callable[[str], None] = lambda _: None,
-) -> Vetted:
+) -> VettingResult:
     """Try the claims of a unit within so many seconds; `progress` hears the name of each claim as it begins.
 
     FMUError if the unit cannot be read, or has no library for this machine.
     """
     path = Path(path)
     _ = open_archive(path).library
-    begun, found = monotonic(), list[tuple[Claim, Finding]]()
+    begun, found = monotonic(), list[tuple[Claim, ClaimFinding]]()
     with tempfile.TemporaryDirectory(prefix="phfmu-vet-") as folder, _Work(path, Path(folder)) as work:
         for claim in claims:
             left = seconds - (monotonic() - begun)
             progress(claim.name)
             share = left / min(SHARE, len(claims) - len(found))
             found.append((claim, work.tried(claim, share) if left > 0 else untested("there was no time left")))
-    return Vetted(str(path), tuple(found), monotonic() - begun)
+    return VettingResult(str(path), tuple(found), monotonic() - begun)
 
 
 class _Work:
@@ -93,17 +93,17 @@ class _Work:
         if self.child is not None:
             self.child.kill()
 
-    def tried(self, claim: Claim, share: float) -> Finding:
+    def tried(self, claim: Claim, share: float) -> ClaimFinding:
         try:
             child = self._running()
             child.tell([claim.name, share, self.known])
             verdict, seen, self.known = child.answer(share + LATE)
-            return Finding(verdict, seen)
-        except Lost as lost:
+            return ClaimFinding(verdict, seen)
+        except ProcessEnded as lost:
             self.child = None
             said = f"; it printed: {' | '.join(self.printed)}" if self.printed else ""
             return false(f"{lost}{said}")
-        except Late:
+        except AnswerTimeout:
             self._end()
             pace = self.known.get("pace", 0.0)
             if pace and share + LATE > HANGS * pace:
@@ -149,7 +149,7 @@ def serve() -> None:
     os._exit(0)  # libraries are not asked whether they can be unloaded
 
 
-def judged(claim: Claim, subject: Subject) -> Finding:
+def judged(claim: Claim, subject: Subject) -> ClaimFinding:
     """The finding of one claim; a unit that refuses what the trial needs leaves it untested."""
     from phfmu.outcome.status import StepFailure
 

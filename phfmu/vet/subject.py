@@ -23,7 +23,7 @@ from phfmu.fmu.importer.slave import AnySlave
 from phfmu.fmu.importer.unit_file import unit_file
 from phfmu.fmu.importer.unit_interface import Scalar, UnitInterface
 from phfmu.fmu.isolation.remote_slave import slave_of
-from phfmu.vet.declared import Declared, declared
+from phfmu.vet.declared import DeclaredAttributes, declared
 
 Array = NDArray[np.float64]
 
@@ -58,7 +58,7 @@ class Subject:
         return self.archive.interface
 
     @cached_property
-    def declared(self) -> Declared:
+    def declared(self) -> DeclaredAttributes:
         return declared(self.path, self.interface.version)
 
     @cached_property
@@ -143,10 +143,10 @@ class Subject:
         return self.deadline - monotonic()
 
     @contextmanager
-    def trial(self, process: bool = False, begin: bool = True, name: str = "") -> Iterator[Trial]:
+    def trial(self, process: bool = False, begin: bool = True, name: str = "") -> Iterator[UnitTrial]:
         """An instance, at its start unless `begin` is false; in a process of its own if asked."""
         slave = slave_of(self.archive.extracted, name or "vetted", False, PATIENCE if process else None)
-        trial = Trial(self, slave)
+        trial = UnitTrial(self, slave)
         try:
             if begin:
                 trial.begin()
@@ -160,7 +160,7 @@ class Subject:
         return self.interface.one_instance
 
 
-class Trial:
+class UnitTrial:
     """An instance of the unit, stepped on the grid t0 + k h; `ended`: it has asked to end the simulation."""
 
     def __init__(self, subject: Subject, slave: AnySlave):

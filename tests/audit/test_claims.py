@@ -191,12 +191,12 @@ def test_steps_of_ports_without_an_index_are_booked_together(tmp_path: Path, mon
     booking = Booking(BOOKING.components, tuple(replace(p, port=f"p{p.index or 0}", index=None) for p in BOOKING.ports))
     with AuditWriter(tmp_path / "x.parquet") as sink:
         book(Ledger(sink), booking, **run_arrays(50))
-    runs, booked = [], analysis._Reader._book_run
+    runs, booked = [], analysis._BlockReader._book_run
 
-    def counted(self: analysis._Reader, grouped: Any, a: int, b: int) -> None:
+    def counted(self: analysis._BlockReader, grouped: Any, a: int, b: int) -> None:
         runs.append(b - a)
         booked(self, grouped, a, b)
 
-    monkeypatch.setattr(analysis._Reader, "_book_run", counted)
+    monkeypatch.setattr(analysis._BlockReader, "_book_run", counted)
     assert summarise(tmp_path / "x.parquet").steps == 50
     assert runs == [50]

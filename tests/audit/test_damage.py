@@ -13,7 +13,7 @@ from pyarrow import compute
 
 from phfmu.audit import AuditWriter, Ledger, read, recover, summarise
 from phfmu.audit.log.archive import Stream
-from phfmu.audit.log.blocks import Found
+from phfmu.audit.log.blocks import StreamBlocks
 from phfmu.audit.log.seal import _MARK
 from phfmu.audit.violation import ViolationKind
 from phfmu.cli import main
@@ -54,7 +54,7 @@ def rows_of(table: pa.Table) -> list[tuple]:
 def test_one_flipped_bit_costs_one_block_at_most(stream: Path, stride: int) -> None:
     """Before and after it every row is there, with its names; the stream stays where something failed."""
     data, whole = stream.read_bytes(), rows_of(read(stream))
-    found = Found(data).blocks
+    found = StreamBlocks(data).blocks
     assert [b.number for b in found] == list(range(BLOCKS + 1)) and len(whole) == BLOCKS * ROWS
     counts = {"flips": 0, "unharmed": 0, "lost a block": 0, "lost the header": 0}
     for i, at in enumerate(range(0, len(data), stride)):
@@ -79,7 +79,7 @@ def test_one_flipped_bit_costs_one_block_at_most(stream: Path, stride: int) -> N
 
 def test_two_blocks_in_a_row_take_the_names_that_only_they_told(stream: Path) -> None:
     data = bytearray(stream.read_bytes())
-    for block in Found(bytes(data)).blocks[3:5]:
+    for block in StreamBlocks(bytes(data)).blocks[3:5]:
         data[block.end - 40] ^= 16
     stream.write_bytes(data)
     done = recover(stream)
@@ -90,7 +90,7 @@ def test_two_blocks_in_a_row_take_the_names_that_only_they_told(stream: Path) ->
 
 def test_blocks_lost_in_a_row_leave_codes_that_are_told(stream: Path) -> None:
     data = bytearray(stream.read_bytes())
-    for block in Found(bytes(data)).blocks[1:4]:
+    for block in StreamBlocks(bytes(data)).blocks[1:4]:
         data[block.end - 40] ^= 16
     stream.write_bytes(data)
     table = read(stream)
@@ -102,7 +102,7 @@ def test_a_log_with_a_hole_is_not_closed_and_the_command_says_what_was_kept(
     stream: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     data = stream.read_bytes()
-    hole = Found(data).blocks[4]
+    hole = StreamBlocks(data).blocks[4]
     stream.write_bytes(flipped(data, hole.start + 2000, 3))
     assert main(["audit", "recover", str(stream)]) == 0
     told = capsys.readouterr().out

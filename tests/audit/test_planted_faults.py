@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from phfmu.studies.blame.campaign import LeftOut, outcome
-from phfmu.studies.blame.faults import FaultKind, Where
+from phfmu.studies.blame.campaign import Exclusion, outcome
+from phfmu.studies.blame.faults import FaultKind, FaultPlace
 from phfmu.studies.blame.networks import COUPLINGS, KINDS, draw
-from phfmu.studies.blame.report import Found, measure, misses, page, summary, table
+from phfmu.studies.blame.report import CampaignResult, measure, misses, page, summary, table
 
 
 @pytest.mark.slow
@@ -48,13 +48,13 @@ def test_a_gain_of_a_store_without_books_is_left_out(compiler: None) -> None:
     """It is a store of another size: passive, whatever the gain."""
     for attempt in range(200):
         found = outcome(11, 0, attempt, most=2)
-        if found.where is Where.UNBOOKED and found.guilty[0] in "mCJ":
+        if found.where is FaultPlace.UNBOOKED and found.guilty[0] in "mCJ":
             break
-    assert found.fault.kind is FaultKind.GAIN and found.left_out == LeftOut.PASSIVE
+    assert found.fault.kind is FaultKind.GAIN and found.left_out == Exclusion.PASSIVE
 
 
 def test_the_page_tells_what_was_left_out() -> None:
-    found = Found(3)
-    found.left_out[FaultKind.GAIN, LeftOut.PASSIVE] = 4
+    found = CampaignResult(3)
+    found.left_out[FaultKind.GAIN, Exclusion.PASSIVE] = 4
     assert "| gain | 0 | 0 | 0 | 0 | 0 | 0 | 4 | 0 | 0 |" in table(found)
     assert summary(found) in page([found]) and "4 draws left out" in summary(found)

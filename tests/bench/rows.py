@@ -10,8 +10,8 @@ from phfmu import Scene
 from phfmu.components.library import build
 from phfmu.declare.phdae import PHDAE
 from phfmu.network.network import Network
-from phfmu.studies.bench.precision.peers import Functions
-from phfmu.studies.bench.precision.problem import Problem
+from phfmu.studies.bench.precision.peers import ProblemFunctions
+from phfmu.studies.bench.precision.problem import InitialValueProblem
 
 REFERENCE = Path(__file__).parents[1] / "reference"
 
@@ -32,8 +32,8 @@ def rows(name: str) -> dict[float, np.ndarray]:
 # -- peers that may be absent -------------------------------------------------------------------------------------------
 
 
-def solved(p: Problem) -> Problem:
+def solved(p: InitialValueProblem) -> InitialValueProblem:
     from phfmu.studies.bench.precision.peers import solve_reference
 
-    solve_reference(p, Functions(p))
+    solve_reference(p, ProblemFunctions(p))
     return p

@@ -13,11 +13,18 @@ from phfmu.components.scenes.electrical.two_machine import two_machine
 from phfmu.declare.block import block
 from phfmu.declare.phdae import PHDAE
 from phfmu.studies.bench.precision import own
-from phfmu.studies.bench.precision.candidate import Candidate, NotAvailable, Run
-from phfmu.studies.bench.precision.peers import Functions, _Scipy
-from phfmu.studies.bench.precision.problem import Judged, Problem, problem_of
+from phfmu.studies.bench.precision.candidate import Candidate, CandidateRun, NotAvailable
+from phfmu.studies.bench.precision.peers import ProblemFunctions, _Scipy
+from phfmu.studies.bench.precision.problem import InitialValueProblem, SolutionErrors, problem_of
 from phfmu.studies.bench.precision.reduced import reduced
-from phfmu.studies.bench.precision.work_precision import Row, Table, cost_at, costs_at, front, measure
+from phfmu.studies.bench.precision.work_precision import (
+    WorkPrecisionRow,
+    WorkPrecisionTable,
+    cost_at,
+    costs_at,
+    front,
+    measure,
+)
 from tests.bench.rows import REFERENCE, declaration, rows, solved
 from tests.wide import wide
 
@@ -78,7 +85,7 @@ def test_four_particles_by_dop853_on_the_reduced_system() -> None:
 def test_two_machines_through_a_fault() -> None:
     """Bare node (index 2), events and observables: rotor momenta and angles of the independent solution."""
     p = problem_of(two_machine(t_fault=0.02, t_clear=0.06, stop=0.1), times=(0.03, 0.04), stop=0.04)
-    x = _Scipy(p, Functions(p), "DOP853", 1e-8)([0.03, 0.04]).x
+    x = _Scipy(p, ProblemFunctions(p), "DOP853", 1e-8)([0.03, 0.04]).x
     names = [n for v in p.declaration.states for n in v.names()]
     head = [t for t in (REFERENCE / "two_machine_early.csv").read_text().splitlines() if not t.startswith("#")][0]
     for i, t in enumerate((0.03, 0.04)):
@@ -119,7 +126,7 @@ def test_rows_that_are_not_linear_in_their_variables() -> None:
 # -- judging and costs --------------------------------------------------------------------------------------------------
 
 
-def decay() -> Problem:
+def decay() -> InitialValueProblem:
     x = state("x", start=1.0)
     d = PHDAE("decay", (x,), energies=(energy(0.5 * x.sx**2),), dissipation=(damping(x, 1.0),))
     p = problem_of(Scene("decay", d, stop=2.0, step=0.1), times=(1.0, 2.0))
@@ -142,8 +149,8 @@ def test_pieces_end_at_events() -> None:
     assert found == [(0.0, 0.5, [0.2], [0.2, 0.5]), (0.5, 0.8, [0.8], [0.8])]
 
 
-def row(method: str, error: float, cpu: float, own: bool = False) -> Row:
-    return Row(method, "", own, cpu, 0.0, Judged((error,), 0.0, 0.0), None, None, None)
+def row(method: str, error: float, cpu: float, own: bool = False) -> WorkPrecisionRow:
+    return WorkPrecisionRow(method, "", own, cpu, 0.0, SolutionErrors((error,), 0.0, 0.0), None, None, None)
 
 
 def test_cost_lies_on_the_double_logarithmic_line_through_the_best_rows() -> None:
@@ -155,17 +162,17 @@ def test_cost_lies_on_the_double_logarithmic_line_through_the_best_rows() -> Non
     coarse = cost_at(0.1, line, 0)
     assert coarse is not None and coarse.bound and coarse.cpu == pytest.approx(10.0)
     assert cost_at(1e-7, line, 0) is None
-    table = Table([*line, row("b", 1e-8, 1.0, own=True)], [])
+    table = WorkPrecisionTable([*line, row("b", 1e-8, 1.0, own=True)], [])
     assert [(c.method, c.own) for c in costs_at(table, 1e-5, 0)] == [("b", True), ("a", False)]
 
 
 def test_what_fails_is_a_remark_and_no_row() -> None:
     p = decay()
 
-    def exact(times, watch=False) -> Run:
-        return Run(np.exp(-np.array(times))[:, None])
+    def exact(times, watch=False) -> CandidateRun:
+        return CandidateRun(np.exp(-np.array(times))[:, None])
 
-    def fails(times, watch=False) -> Run:
+    def fails(times, watch=False) -> CandidateRun:
         raise RuntimeError("diverged at 0.3 s")
 
     def absent():

@@ -16,7 +16,7 @@ from phfmu.components.library import LIBRARY
 from phfmu.components.mechanical.four_particle import four_particle
 from phfmu.studies.bench.families import FAMILIES, member
 from phfmu.studies.bench.precision.candidate import NotAvailable
-from phfmu.studies.bench.precision.problem import Problem, problem_of
+from phfmu.studies.bench.precision.problem import InitialValueProblem, problem_of
 from phfmu.studies.bench.precision.work_precision import measure
 from tests.bench.rows import declaration, rows, solved
 
@@ -105,7 +105,7 @@ def test_mujoco_converges_to_the_chain_of_the_declaration(compiler: None) -> Non
     assert errors[0] < 1e-6 and np.log2(errors[0] / errors[1]) == pytest.approx(4.0, abs=0.4)
 
 
-def exudyn_errors(p: Problem, steps: tuple[float, ...]) -> dict[str, list[float]]:
+def exudyn_errors(p: InitialValueProblem, steps: tuple[float, ...]) -> dict[str, list[float]]:
     """Errors of q at the stop time by method, the largest step first; every run is repeated and must not change."""
     if find_spec("exudyn") is None:
         pytest.skip("exudyn is not installed: pip install exudyn")

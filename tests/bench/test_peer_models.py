@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from phfmu.studies.bench.mechanisms import described, exudyn_models, ida, mujoco_models, opensim_models
-from phfmu.studies.bench.mechanisms.case import Case
+from phfmu.studies.bench.mechanisms.case import MechanismCase
 from phfmu.studies.bench.mechanisms.cases import CASES, IFTOMM
 from phfmu.studies.bench.mechanisms.lagrange import lagrange_of
 from phfmu.studies.bench.power import circuit, dpsim
@@ -20,14 +20,14 @@ from phfmu.studies.bench.precision.candidate import NotAvailable
 
 
 @cache
-def case(name: str) -> Case:
+def case(name: str) -> MechanismCase:
     """A case with its reference solved."""
     made = (CASES | IFTOMM)[name]()
     made.solve_reference()
     return made
 
 
-def error(made: Case, solve: object) -> float:
+def error(made: MechanismCase, solve: object) -> float:
     assert callable(solve)
     return made.judge(solve([made.stop]).x).errors[0]
 

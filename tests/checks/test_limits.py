@@ -34,8 +34,8 @@ from phfmu.components.control import exac1, gast, hygov, ieeest, ieeex1, pss1a, 
 from phfmu.components.electrical.machines.dc_motor import dc_motor
 from phfmu.components.library import LIBRARY, build
 from phfmu.components.mechanical.net import net
-from phfmu.declare.entries.parameter_limits import Limit, limits
-from phfmu.fmu.export.description import Unit
+from phfmu.declare.entries.parameter_limits import ParameterLimit, limits
+from phfmu.fmu.export.description import ExportedUnit
 from phfmu.fmu.version import VERSIONS
 
 
@@ -249,7 +249,7 @@ def test_the_check_of_values_is_cheap_beside_the_plan_of_a_large_model():
 def description(version: str) -> dict[str, dict[str, str]]:
     """Attributes of the variables of the motor."""
     declaration = dc_motor()
-    unit = Unit(build_model(declaration), 1e-3)
+    unit = ExportedUnit(build_model(declaration), 1e-3)
     root = etree.fromstring(VERSIONS[version].description(unit))
     found = root.findall(".//ScalarVariable" if version == "2.0" else ".//Float64")
     return {v.get("name"): dict(v.attrib) | dict(v[0].attrib if len(v) else {}) for v in found}
@@ -281,4 +281,4 @@ def test_a_unit_refuses_parameters_outside_their_limits(tmp_path: Path):
 
 
 def test_text_of_a_limit():
-    assert str(Limit(0.0, 3.0, above=True)) == "above 0 and at most 3"
+    assert str(ParameterLimit(0.0, 3.0, above=True)) == "above 0 and at most 3"

@@ -12,7 +12,7 @@ import pytest
 import phfmu.discretise.model as discretise
 from phfmu import Network
 from phfmu.audit.tables.report import shortened
-from phfmu.audit.tables.sheets import Column, Sheet
+from phfmu.audit.tables.sheets import Sheet, SheetColumn
 from phfmu.cli import main
 
 STAR = """
@@ -93,8 +93,8 @@ def test_info_groups_members_by_kind(star: str, capsys) -> None:
 
 
 def test_the_last_row_of_a_shortened_table_is_the_sum_of_all_others() -> None:
-    worst, verdict = Column("worst", float, adds=False), Column("verdict", str, "word")
-    columns = (Column("name", str, "name"), Column("J", float), worst, verdict)
+    worst, verdict = SheetColumn("worst", float, adds=False), SheetColumn("verdict", str, "word")
+    columns = (SheetColumn("name", str, "name"), SheetColumn("J", float), worst, verdict)
     rows = tuple((f"c{i}", float(i), -float(i), "closed" if i != 3 else "VIOLATED") for i in range(10))
     sheet = Sheet("component", columns, rows)
     assert shortened(sheet, 10) is sheet

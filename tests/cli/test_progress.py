@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from phfmu.cli import main
-from phfmu.cli.progress import Bar, Line
+from phfmu.cli.progress import ProgressBar, StatusLine
 
 
 class Terminal(io.StringIO):
@@ -40,7 +40,7 @@ def test_verbs_show_a_bar_on_a_terminal(line: str, what: str, monkeypatch: pytes
 
 def test_a_bar_goes_on_to_its_end(monkeypatch: pytest.MonkeyPatch) -> None:
     shown = terminal(monkeypatch)
-    with Bar("work", 4) as bar:
+    with ProgressBar("work", 4) as bar:
         for done in range(5):
             bar(done)
     assert "work" in shown.getvalue() and "100%" in shown.getvalue()
@@ -48,7 +48,7 @@ def test_a_bar_goes_on_to_its_end(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_line_is_taken_away(monkeypatch: pytest.MonkeyPatch) -> None:
     shown = terminal(monkeypatch)
-    with Line() as line:
+    with StatusLine() as line:
         line("case 1")
     assert shown.getvalue().endswith("\r\x1b[K") and "case 1" in shown.getvalue()
 
@@ -56,7 +56,7 @@ def test_a_line_is_taken_away(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_pipe_gets_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     pipe = io.StringIO()
     monkeypatch.setattr(sys, "stderr", pipe)
-    with Bar("work", 4) as bar, Line() as line:
+    with ProgressBar("work", 4) as bar, StatusLine() as line:
         bar(2)
         line("case 1")
     assert pipe.getvalue() == ""

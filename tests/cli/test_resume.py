@@ -15,9 +15,11 @@ from typing import Any
 import pytest
 
 from phfmu.audit.difference import first_differences
+from phfmu.audit.judge import ComponentBalance
 from phfmu.audit.log.archive import read
-from phfmu.cli.checkpoints import Checkpoints, plain
+from phfmu.cli.checkpoints import CheckpointFile, plain
 from phfmu.runs.march import march
+from phfmu.runs.march.adaptive import ControllerState
 from tests.cli.commands import Cli
 from tests.wide import longer, wide
 
@@ -103,7 +105,7 @@ def test_a_run_that_goes_on_draws_the_whole_of_it(
     name: str, cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Byte for byte the picture or the motion of a run that was never ended; a run that was has drawn nothing."""
-    (run, file, block), kept = DRAWN[name], Checkpoints.between_blocks
+    (run, file, block), kept = DRAWN[name], CheckpointFile.between_blocks
     monkeypatch.setattr(march, "BLOCK", block)
     files = {folder: tmp_path / folder / file for folder in ("was", "now")}
     for path in files.values():
@@ -111,13 +113,13 @@ def test_a_run_that_goes_on_draws_the_whole_of_it(
     assert cli("run", *run, str(files["was"]))[0] == 0
     ends, blocks = [14, 4, 0], [0]
 
-    def ended(checkpoints: Checkpoints, now: Callable[[], dict[str, Any]]) -> None:
+    def ended(checkpoints: CheckpointFile, now: Callable[[], dict[str, Any]]) -> None:
         kept(checkpoints, now)
         blocks[0] += 1
         if blocks[0] == ends[0]:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(Checkpoints, "between_blocks", ended)
+    monkeypatch.setattr(CheckpointFile, "between_blocks", ended)
     monkeypatch.chdir(files["now"].parent)
     more = list[str]()
     for _ in range(2):
@@ -201,8 +203,18 @@ def test_what_has_no_checkpoints_is_refused_before_the_first_step(cli: Cli, tmp_
         assert words in err
 
 
-def test_a_checkpoint_from_before_a_module_moved_is_read() -> None:
-    """Classes of the march stood in phfmu.runs; protocol 2 writes their modules as lines."""
-    body = pickle.dumps({"place": march.Place(piece=3, first=7)}, protocol=2)
-    older = body.replace(b"cphfmu.runs.march.march\n", b"cphfmu.runs.march\n")
-    assert older != body and plain(older) == plain(body) == {"place": march.Place(piece=3, first=7)}
+@pytest.mark.parametrize(
+    ("carried", "earlier"),
+    [
+        (march.MarchPosition(piece=3, first=7), b"phfmu.runs.march\nPlace"),
+        (march.MarchPosition(piece=3, first=7), b"phfmu.runs.march.march\nPlace"),
+        (ControllerState(0.5, rejected=2), b"phfmu.runs.march.adaptive\nControl"),
+        (ComponentBalance(1.0, 2.0), b"phfmu.audit.judge\nAccount"),
+    ],
+)
+def test_a_checkpoint_from_before_a_class_moved_or_got_another_name_is_read(carried: Any, earlier: bytes) -> None:
+    """Protocol 2 writes module and name of a class as lines."""
+    body = pickle.dumps({"carried": carried}, protocol=2)
+    now = f"c{type(carried).__module__}\n{type(carried).__name__}\n".encode()
+    older = body.replace(now, b"c" + earlier + b"\n")
+    assert older != body and pickle.dumps(plain(older), protocol=2) == body

@@ -44,7 +44,7 @@ from phfmu.cli import main
 from phfmu.components.electrical.machines.dc_motor import dc_motor
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.variable import VariableKind
-from phfmu.fmu.export.description import Unit
+from phfmu.fmu.export.description import ExportedUnit
 from phfmu.network.check_scene import check_scene
 
 
@@ -149,7 +149,7 @@ def test_an_export_takes_the_model_which_carries_its_declaration(tmp_path):
     for call, words in (
         (lambda: export(motor, model, tmp_path, step=1.0), f"export takes a model first, got the PHDAE 'dc_motor'; {pair}"),
         (lambda: export(motor, model, tmp_path, ("3.0",), step=1.0), pair),
-        (lambda: Unit(motor, model, 1.0), f"Unit takes a model first, got the PHDAE 'dc_motor'; {pair}"),
+        (lambda: ExportedUnit(motor, model, 1.0), f"Unit takes a model first, got the PHDAE 'dc_motor'; {pair}"),
         (lambda: export(motor, tmp_path, step=1.0), "build_model(declaration)"),
         (lambda: export("dc_motor", tmp_path, step=1.0), "got the str 'dc_motor'; build it: build_model(declaration)"),
     ):  # fmt: skip

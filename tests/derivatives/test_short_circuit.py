@@ -16,7 +16,7 @@ from phfmu.studies.bench.fits import (
     STEP,
     STOP,
     UNLOADED,
-    Fits,
+    ShortCircuitFits,
     integrated,
     machine,
     pairs,
@@ -26,7 +26,7 @@ pytestmark = [pytest.mark.usefixtures("compiler"), pytest.mark.slow]
 
 
 def test_eight_values_come_back_within_three_errors() -> None:
-    fits = Fits(LOADED)
+    fits = ShortCircuitFits(LOADED)
     for seed in range(2):
         fitted = fits.exact(seed)
         assert max(map(abs, fitted.off.values())) <= 3.0, fitted.off
@@ -36,7 +36,7 @@ def test_eight_values_come_back_within_three_errors() -> None:
 
 def test_without_load_one_pair_stays_together() -> None:
     """The q axis sees rated frequency alone, where xq/Tq20 counts: neither of both comes back, their quotient does."""
-    found = Fits(UNLOADED).exact(0).found
+    found = ShortCircuitFits(UNLOADED).exact(0).found
     (pair,) = pairs(found)
     assert set(pair[:2]) == {"xq", "Tq20"} and pair[2] > 0.99
     assert found.errors["Tq20"] > 0.3 * found.values["Tq20"] and found.errors["xq2"] < 0.01 * found.values["xq2"]

@@ -21,7 +21,7 @@ from phfmu.discretise.model import build_model
 from phfmu.engine.native.native import NativeInstance
 from phfmu.engine.reference.python import PythonInstance
 from phfmu.fmu.export import sources
-from phfmu.fmu.export.description import Unit
+from phfmu.fmu.export.description import ExportedUnit
 from phfmu.fmu.export.export import export
 from phfmu.fmu.export.variables import FMUError, variables
 from phfmu.fmu.importer.reader import FMUInstance
@@ -127,10 +127,10 @@ def test_token_belongs_to_the_content() -> None:
     token = [
         sources.token(unit, sources.generated(unit))
         for unit in (
-            Unit(model, step),
-            Unit(model, step),
-            Unit(model, 2 * step),
-            Unit(build_model(declaration.with_starts({"k": 99.0})), step),
+            ExportedUnit(model, step),
+            ExportedUnit(model, step),
+            ExportedUnit(model, 2 * step),
+            ExportedUnit(build_model(declaration.with_starts({"k": 99.0})), step),
         )
     ]
     assert token[0] == token[1]

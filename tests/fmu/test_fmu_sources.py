@@ -14,7 +14,7 @@ import pytest
 
 from phfmu.engine.build.compile import compile
 from phfmu.fmu.export import sources
-from phfmu.fmu.export.description import Unit
+from phfmu.fmu.export.description import ExportedUnit
 from phfmu.fmu.export.export import PLATFORMS, export
 from phfmu.fmu.importer.reader import FMUInstance
 from tests.fmu.exported import build, needs_cc
@@ -26,7 +26,7 @@ HERE = Path(__file__).parent
 def host_libraries(folder: Path) -> tuple[dict[str, object], Path]:
     """Sources of a unit with the headers, and its library before stripping (compiled by hand)."""
     declaration, model, step = build("pendulum")
-    unit = Unit(model, step)
+    unit = ExportedUnit(model, step)
     equations = sources.generated(unit)
     code = {**sources.complete(unit, equations, sources.token(unit, equations)), **sources.headers()}
     for name, source in code.items():
@@ -181,7 +181,7 @@ def test_other_platforms_link(tmp_path: Path, platform: str) -> None:
 
 def test_warm_export_compiles_nothing(exported) -> None:
     declaration, model, step = build("mass")
-    unit = Unit(model, step, 100 * step)
+    unit = ExportedUnit(model, step, 100 * step)
     exported("mass")
     equations = sources.generated(unit)
     code = sources.complete(unit, equations, sources.token(unit, equations))

@@ -16,7 +16,7 @@ from phfmu.components.library import LIBRARY, RUNS, SWITCHED, build
 from phfmu.components.mechanical.four_particle import four_particle
 from phfmu.components.mechanical.heavy_top import heavy_top
 from phfmu.fmu.export import sources
-from phfmu.fmu.export.description import Unit
+from phfmu.fmu.export.description import ExportedUnit
 from phfmu.fmu.export.value_groups import telling_constant
 from phfmu.fmu.importer.reader import FMUInstance
 from tests.engines import ENGINES
@@ -120,7 +120,7 @@ def test_units_take_slivers(host: Path, tmp_path: Path, name: str, version: str)
     done = subprocess.run([str(c) for c in command], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     before, *after = np.array([float(v) for v in done.stdout.split()]).reshape(1 + len(slivers), len(names))
-    block = {v.name: v.block for v in Unit(telling_constant(model), h).variables}
+    block = {v.name: v.block for v in ExportedUnit(telling_constant(model), h).variables}
     rows = np.array([block[n].startswith("FMU_ROW") for n in names])
     kept = np.array([f"{block[n]}".removeprefix("PH_").lower() in KEPT for n in names])
     now = ~rows & ~kept & np.array([n != "time" for n in names])

@@ -36,7 +36,7 @@ from phfmu.components.mechanical.translational import mass
 from phfmu.components.scenes.electrical.breaker_opening import breaker_opening
 from phfmu.components.scenes.mechanical.bouncing_ball import bouncing_ball
 from phfmu.fmu.export import sources
-from phfmu.fmu.export.description import Unit
+from phfmu.fmu.export.description import ExportedUnit
 from phfmu.fmu.export.schedule import UnitEvent, fed_inside
 from phfmu.fmu.export.variables import FMUError
 from phfmu.fmu.importer.refusal import UnitFailure
@@ -286,7 +286,7 @@ def test_modes_are_local_and_discrete_and_set_before_the_start_only(
 
 
 def test_units_without_state_events_have_nothing_of_them() -> None:
-    plain, guarded = (Unit(build_model(d), 0.1) for d in (mass(1.0, k=2.0), falling()))
+    plain, guarded = (ExportedUnit(build_model(d), 0.1) for d in (mass(1.0, k=2.0), falling()))
     own = {*sources.fixed(guarded)} - {*sources.fixed(plain)}
     assert {"fmu_landing.c", "events.c", "event_step.c", "event_locate.c"} <= own
     assert "guards.c" in sources.generated(guarded) and "guards.c" not in sources.generated(plain)

@@ -30,7 +30,7 @@ from phfmu.components.electrical.switches import diode, ideal_switch
 from phfmu.components.mechanical.translational import mass
 from phfmu.components.scenes.electrical.rectifier import rectifier
 from phfmu.fmu.export import sources
-from phfmu.fmu.export.description import Unit
+from phfmu.fmu.export.description import ExportedUnit
 from phfmu.fmu.export.schedule import UnitEvent
 from phfmu.fmu.export.variables import FMUError
 from phfmu.fmu.importer.refusal import UnitFailure
@@ -182,7 +182,7 @@ def test_switches_that_no_unit_can_have_are_refused_by_name(tmp_path: Path) -> N
 
 
 def test_units_without_switches_have_nothing_of_them() -> None:
-    plain, switched = Unit(build_model(mass(1.0, k=2.0)), 0.1), Unit(build_model(joined()), 0.1)
+    plain, switched = ExportedUnit(build_model(mass(1.0, k=2.0)), 0.1), ExportedUnit(build_model(joined()), 0.1)
     own = {*sources.fixed(switched)} - {*sources.fixed(plain)}
     assert {"fmu_modes.c", "modes.c", "mode_land.c", "mode_choice.c"} <= own
     assert "switches.c" in sources.generated(switched) and "mode1.c" in sources.generated(switched)

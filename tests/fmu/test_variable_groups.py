@@ -10,7 +10,7 @@ from fmpy import read_model_description
 
 from phfmu import Model, build_model
 from phfmu.components.electrical.rl_line import rl_line
-from phfmu.fmu.export.description import Unit
+from phfmu.fmu.export.description import ExportedUnit
 from phfmu.fmu.export.sources import interface_text
 from phfmu.fmu.export.variables import variables
 from phfmu.fmu.version import VERSIONS
@@ -52,7 +52,7 @@ def test_repeated_names_of_groups_are_refused(line: Model) -> None:
 @pytest.mark.parametrize("row", VERSIONS.values(), ids=list(VERSIONS))
 def test_descriptions_of_all_versions_hold_it(line: Model, row, tmp_path: Path) -> None:
     """They fulfil the schema of the standard, units of products included."""
-    unit = Unit(line, 1e-3)
+    unit = ExportedUnit(line, 1e-3)
     unit.__dict__["variables"] = variables(line, (square,))
     (tmp_path / "modelDescription.xml").write_bytes(row.description(unit, "{token}"))
     about = read_model_description(str(tmp_path), validate=True, validate_variable_names=True)

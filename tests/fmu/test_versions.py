@@ -13,7 +13,7 @@ from phfmu import build_model
 from phfmu.components.mechanical.translational import mass
 from phfmu.fmu.export import sources
 from phfmu.fmu.export import variables as fmu_variables
-from phfmu.fmu.export.description import Unit
+from phfmu.fmu.export.description import ExportedUnit
 from phfmu.fmu.importer.archive import Archive
 from phfmu.fmu.importer.model_description import read_interface
 from phfmu.fmu.version import FMI2, FMI3, VERSIONS, Names, written_by
@@ -56,7 +56,7 @@ def test_documents_find_their_row() -> None:
 @pytest.mark.parametrize("row", VERSIONS.values(), ids=list(VERSIONS))
 def test_a_description_is_read_as_its_row_writes_it(row, tmp_path: Path) -> None:
     """Words of the row in both directions: token, abilities, types and starts come back."""
-    unit = Unit(build_model(mass(2.0, k=100.0, q=0.1)), 1e-2)
+    unit = ExportedUnit(build_model(mass(2.0, k=100.0, q=0.1)), 1e-2)
     path = tmp_path / "d.xml"
     path.write_bytes(row.description(unit, "{token}"))
     with path.open("rb") as stream:
@@ -79,7 +79,7 @@ def test_a_description_is_read_as_its_row_writes_it(row, tmp_path: Path) -> None
 def test_the_library_of_this_machine_is_found(platform, names, expected, tmp_path, monkeypatch) -> None:
     """Also where FMI 2.0 has no name for it and several folders could be meant."""
     path = tmp_path / "mass.fmu"
-    unit = Unit(build_model(mass(2.0, k=100.0)), 1e-2)
+    unit = ExportedUnit(build_model(mass(2.0, k=100.0)), 1e-2)
     ending = fmpy.sharedLibraryExtension
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("modelDescription.xml", FMI2.description(unit, "{token}"))

@@ -11,7 +11,7 @@ from phfmu import Collocated, Monolithic, Options, PythonInstance, build_model, 
 from phfmu.cli import main
 from phfmu.components.library import build
 from phfmu.components.mechanical.translational import mass
-from phfmu.runs.accuracy import Again, Record, accuracy
+from phfmu.runs.accuracy import RepeatRecord, RunRecord, accuracy
 
 M, K = 2.0, 50.0
 
@@ -25,8 +25,8 @@ def rows(record, k, h, room=None):
 
 
 def compared(k, h, room=4_000_000):
-    record = rows(Record(h, room), k, h)
-    finer, coarser = (rows(Again(record, h), k, f * h) for f in (0.5, 2.0))
+    record = rows(RunRecord(h, room), k, h)
+    finer, coarser = (rows(RepeatRecord(record, h), k, f * h) for f in (0.5, 2.0))
     return record, accuracy(record, finer, coarser, 2.0 ** (2 * k), 2 * k)
 
 
@@ -75,8 +75,8 @@ def test_a_signal_that_does_not_come_closer_has_no_error():
         to.keep(time, np.stack([value * time, 7.0 + time], axis=1), np.zeros(len(time), bool))
         return to
 
-    record = given(Record(0.1), 0.1, 1.0)
-    finer, coarser = given(Again(record, 0.1), 0.05, 0.0), given(Again(record, 0.1), 0.2, 0.5)
+    record = given(RunRecord(0.1), 0.1, 1.0)
+    finer, coarser = given(RepeatRecord(record, 0.1), 0.05, 0.0), given(RepeatRecord(record, 0.1), 0.2, 0.5)
     a, b = accuracy(record, finer, coarser, 4.0, 2).changes
     assert (a.name, a.error, a.size, a.time) == ("a", None, 1.0, 1.0) and a.order == pytest.approx(-1.0)
     assert (b.size, b.error) == (0.0, 0.0)

@@ -27,7 +27,7 @@ from phfmu.components.mechanical.torque_source import torque_source
 from phfmu.components.scenes.electrical.smib import circuit, smib
 from phfmu.derivatives.steady_steps import steady_steps
 from phfmu.operating import PQ, PV, Load, NoOperatingPoint, Slack, operating_point
-from phfmu.operating.rotation import Equations
+from phfmu.operating.rotation import MemberEquations
 from phfmu.results.file import open_result
 
 W = 120 * pi
@@ -40,7 +40,7 @@ FLOW = json.loads((Path(__file__).parent / "wscc9_power_flow.json").read_text())
 
 @pytest.mark.parametrize("coordinates", ["dq-flux", "abc-flux"])
 def test_the_rotation_of_a_machine_turns_what_stands_in_the_stator(coordinates):
-    e = Equations(synchronous_machine(coordinates=coordinates))
+    e = MemberEquations(synchronous_machine(coordinates=coordinates))
     assert e.asymmetry < 1e-12
     assert e.c == pytest.approx([0.0] * 7 + [1.0], abs=1e-12)  # theta
     stands = coordinates == "dq-flux"
@@ -56,7 +56,7 @@ def test_turns_by_many_angles_at_once_are_exponentials(coordinates):
     """Beside exponentials of 40 digits."""
     from mpmath import expm, matrix, workdps
 
-    e = Equations(synchronous_machine(coordinates=coordinates))
+    e = MemberEquations(synchronous_machine(coordinates=coordinates))
     n = len(e.c)
     generator = np.block([[e.S, e.c[:, None]], [np.zeros((1, n + 1))]])
     for angles in ([0.0, 1e-9, 0.3, -2.0], [-377.0, 50.0], []):
@@ -79,7 +79,7 @@ def test_unequal_phases_have_no_rotation():
     ports = tuple(Port(n, ELECTRICAL, "effort", {flux: s}, size=3) for n, s in (("a", 1.0), ("b", -1.0)))
     line = PHDAE("uneven", states=(flux,), energies=(energy(ca.sumsqr(flux.sx)),),
                  dissipation=(block([flux], ca.diag(ca.DM([1.0, 2.0, 1.0]))),), ports=ports)  # fmt: skip
-    assert Equations(line).asymmetry > 1e-3
+    assert MemberEquations(line).asymmetry > 1e-3
     net = Network("n")
     net.add("bus", infinite_bus(100.0))
     net.add("line", line)

@@ -9,10 +9,11 @@ import pytest
 
 from phfmu.audit import AuditWriter, Booking, Ledger, PortKey
 from phfmu.outcome.steps import Steps
-from phfmu.report.page.flows import JUNCTION, MEMBER, RESIDUAL, Node, books, imbalance, links, ports
+from phfmu.report.page.flows import JUNCTION, MEMBER, RESIDUAL, Node, component_energies, links, ports
 from phfmu.report.page.gathered import ALL, MOST, gathered_links, gathered_ports, others
 from phfmu.report.page.history import read_history
 from phfmu.report.page.page import Run, write_report
+from tests.report.links import imbalance
 
 N = 101
 
@@ -33,7 +34,7 @@ def star(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_others_are_one_member_and_all_balances_close(star: Path) -> None:
     history = read_history(star)
-    passed, members = ports(history), [b.component for b in books(history)]
+    passed, members = ports(history), [b.component for b in component_energies(history)]
     gone = others(members, passed)
     assert set(members) - gone == {"hub", *(f"m{i}" for i in range(N - 1, N - MOST, -1))}
     found = gathered_links(links(history), passed, gone)

@@ -8,24 +8,24 @@ from xml.etree import ElementTree as ET
 
 import pytest
 
-from phfmu.report.page.flows import Passed
+from phfmu.report.page.flows import PortEnergy
 from phfmu.report.page.grid_diagram import MOST_JUNCTIONS, STALK, grid_diagram
 
 pytest.importorskip("networkx")
 SVG = "{http://www.w3.org/2000/svg}"
 
 
-def lattice(n: int) -> list[Passed]:
+def lattice(n: int) -> list[PortEnergy]:
     """n by n buses, 1 kJ right and down each line; a machine at the first bus, a load at the last, a meter without energy."""
-    found = list[Passed]()
+    found = list[PortEnergy]()
     for i in range(n):
         for j in range(n):
             for name, a, b in (("r", i, j + 1), ("d", i + 1, j)):
                 if a < n and b < n:
                     line = f"{name}{i}_{j}"
-                    found += [Passed(line, "a", f"b{i}_{j}", 1e3), Passed(line, "b", f"b{a}_{b}", -999.0)]
-    found += [Passed("gen", "terminal", "b0_0", -5e3), Passed("gen", "shaft", "", 5e3)]
-    found += [Passed("load", "terminal", f"b{n - 1}_{n - 1}", 4e3), Passed("meter", "a", "b0_1", 1e-9)]
+                    found += [PortEnergy(line, "a", f"b{i}_{j}", 1e3), PortEnergy(line, "b", f"b{a}_{b}", -999.0)]
+    found += [PortEnergy("gen", "terminal", "b0_0", -5e3), PortEnergy("gen", "shaft", "", 5e3)]
+    found += [PortEnergy("load", "terminal", f"b{n - 1}_{n - 1}", 4e3), PortEnergy("meter", "a", "b0_1", 1e-9)]
     return found
 
 
@@ -69,19 +69,25 @@ def test_heads_point_the_way_of_the_energy() -> None:
 
 def test_members_of_three_junctions_and_parts_apart_are_drawn() -> None:
     """A transformer of three windings joins three lines; another part stands below."""
-    ports = [Passed("three", p, f"b{p}", e) for p, e in (("a", 3.0), ("b", -1.0), ("c", -2.0))]
+    ports = [PortEnergy("three", p, f"b{p}", e) for p, e in (("a", 3.0), ("b", -1.0), ("c", -2.0))]
     ports += [
-        Passed(f"line{p}", end, f"b{p}{'2' * (end == 'z')}", s) for p in "abc" for end, s in (("y", 1.0), ("z", -1.0))
+        PortEnergy(f"line{p}", end, f"b{p}{'2' * (end == 'z')}", s)
+        for p in "abc"
+        for end, s in (("y", 1.0), ("z", -1.0))
     ]
-    ports += [Passed("other", "a", "far1", 1.0), Passed("other", "b", "far2", -1.0)]
+    ports += [PortEnergy("other", "a", "far1", 1.0), PortEnergy("other", "b", "far2", -1.0)]
     root = ET.fromstring(grid_diagram(ports, {})[0])
     assert len(root.findall(f".//{SVG}rect")) == 1 and len(root.findall(f".//{SVG}path")) == 3 + 3 + 1
     assert len(buses(root)) == 8
 
 
 def test_what_is_no_mesh_is_left_to_the_other_diagram() -> None:
-    star = [p for i in range(30) for p in (Passed("hub", f"p{i}", f"j{i}", -1.0), Passed(f"m{i}", "q", f"j{i}", 1.0))]
+    star = [
+        p
+        for i in range(30)
+        for p in (PortEnergy("hub", f"p{i}", f"j{i}", -1.0), PortEnergy(f"m{i}", "q", f"j{i}", 1.0))
+    ]
     assert grid_diagram(star, {}) == ("", 0)
     assert grid_diagram([], {}) == ("", 0)
-    row = [Passed(f"l{i}", end, f"b{i + (end == 'b')}", 1.0) for i in range(MOST_JUNCTIONS + 1) for end in "ab"]
+    row = [PortEnergy(f"l{i}", end, f"b{i + (end == 'b')}", 1.0) for i in range(MOST_JUNCTIONS + 1) for end in "ab"]
     assert grid_diagram(row, {}) == ("", 0)

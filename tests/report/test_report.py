@@ -26,13 +26,13 @@ from phfmu.report.page.flows import (
     STORE,
     Link,
     Node,
-    Passed,
-    books,
-    imbalance,
+    PortEnergy,
+    component_energies,
     links,
     ports,
 )
 from phfmu.report.page.history import History, read_history
+from tests.report.links import imbalance
 from tests.report.test_plot import loaded
 
 EPS = float(np.finfo(float).eps)
@@ -121,7 +121,7 @@ def test_each_kind_of_energy_is_a_link_of_its_own(made: Path) -> None:
 
 def test_energies_are_the_sums_of_the_audit(place: Path) -> None:
     history, summary = read_history(place / "drive.audit.parquet"), summarise(place / "drive.audit.parquet")
-    for b, c in zip(books(history), summary.components, strict=True):
+    for b, c in zip(component_energies(history), summary.components, strict=True):
         assert (b.component, b.stored, b.dissipated) == (
             c.component,
             pytest.approx(c.stored),
@@ -240,7 +240,7 @@ def test_names_of_a_file_are_text(tmp_path: Path) -> None:
 SVG = "{http://www.w3.org/2000/svg}"
 
 
-def drawn(members: list[str], joined: list[Passed]) -> ET.Element:
+def drawn(members: list[str], joined: list[PortEnergy]) -> ET.Element:
     return ET.fromstring(one_line(members, joined, {}))
 
 
@@ -250,10 +250,10 @@ def boxes(svg: ET.Element) -> list[tuple[float, ...]]:
 
 def test_widths_of_the_diagram_are_energies() -> None:
     joined = [
-        Passed("a", "p", "n", -8.0),
-        Passed("b", "p", "n", 6.0),
-        Passed("c", "p", "n", 2.0),
-        Passed("a", "in", "", 4.0),
+        PortEnergy("a", "p", "n", -8.0),
+        PortEnergy("b", "p", "n", 6.0),
+        PortEnergy("c", "p", "n", 2.0),
+        PortEnergy("a", "in", "", 4.0),
     ]
     svg = drawn(["a", "b", "c"], joined)
     lines = [float(p.get("stroke-width") or 0) for p in svg.iter(f"{SVG}path")]
@@ -274,12 +274,15 @@ def test_no_box_of_the_diagram_covers_another(n: int, ring: bool) -> None:
     for i in range(n):
         members += [f"gen{i}", f"load{i}", f"line{i}"]
         joined += [
-            Passed(f"gen{i}", "t", f"bus{i}", -3.0),
-            Passed(f"gen{i}", "shaft", "", 3.0),
-            Passed(f"load{i}", "t", f"bus{i}", 2.0),
+            PortEnergy(f"gen{i}", "t", f"bus{i}", -3.0),
+            PortEnergy(f"gen{i}", "shaft", "", 3.0),
+            PortEnergy(f"load{i}", "t", f"bus{i}", 2.0),
         ]
         if i < n - 1 or ring:
-            joined += [Passed(f"line{i}", "a", f"bus{i}", 1.0), Passed(f"line{i}", "b", f"bus{(i + 1) % n}", -1.0)]
+            joined += [
+                PortEnergy(f"line{i}", "a", f"bus{i}", 1.0),
+                PortEnergy(f"line{i}", "b", f"bus{(i + 1) % n}", -1.0),
+            ]
     svg = drawn(members, joined)
     found = boxes(svg)
     marks = [t.text for t in svg.iter(f"{SVG}text") if t.text in ("goes on below", "from above")]
@@ -324,4 +327,4 @@ def test_what_cannot_be_reported_is_said_once(words, said, place, tmp_path, monk
 
 
 def test_an_empty_history_has_no_links() -> None:
-    assert links(History("x", {})) == [] and books(History("x", {})) == []
+    assert links(History("x", {})) == [] and component_energies(History("x", {})) == []

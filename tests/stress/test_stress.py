@@ -11,7 +11,7 @@ from phfmu import StepFailure
 from phfmu.cli import main
 from phfmu.outcome.status import remedy
 from phfmu.studies.stress import events, linkage, machine, matrix, near, particles
-from phfmu.studies.stress.case import Case, Outcome, Verdict, answer, not_supported, refused
+from phfmu.studies.stress.case import StressCase, StressOutcome, Verdict, answer, not_supported, refused
 from phfmu.studies.stress.members import coupled, couplings, crash, units
 from phfmu.studies.stress.report import page, tally
 from phfmu.words import counted
@@ -20,7 +20,7 @@ from tests.wide import wide
 
 
 def case(measure):
-    return Case("t", "n", "c", measure)
+    return StressCase("t", "n", "c", measure)
 
 
 def test_verdicts():
@@ -28,7 +28,7 @@ def test_verdicts():
         raise RuntimeError("words")
 
     lines = [answer(case(m)) for m in (
-        lambda: Outcome("a", True), lambda: Outcome("b", False), not_supported("no wheel"), broken)]  # fmt: skip
+        lambda: StressOutcome("a", True), lambda: StressOutcome("b", False), not_supported("no wheel"), broken)]  # fmt: skip
     assert [x.verdict for x in lines] == [Verdict.PASS, Verdict.FAIL, Verdict.NOT_SUPPORTED, Verdict.FAIL]
     assert lines[3].happened == "RuntimeError: words" and lines[2].happened == "no wheel"
     assert tally(lines) == "1 pass, 2 fail, 1 not supported"
@@ -41,9 +41,9 @@ def test_what_is_at_rest_is_counted_apart(capsys):
     said = capsys.readouterr().out
     assert "at rest        mass: h = 0: at rest: nothing was tested" in said and "8 at rest" in said.splitlines()[-1]
     assert "pass           mass: an input that is not a number" in said
-    still = answer(case(lambda: Outcome("too much", False, tested=False)))
+    still = answer(case(lambda: StressOutcome("too much", False, tested=False)))
     assert still.verdict is Verdict.FAIL  # what fails at rest fails
-    moving = answer(case(lambda: Outcome("fine", True)))
+    moving = answer(case(lambda: StressOutcome("fine", True)))
     assert moving.verdict is Verdict.PASS
 
 
@@ -125,13 +125,13 @@ def test_command_runs_one_target(name, tmp_path, capsys):
 
 
 def test_a_failed_criterion_is_exit_code_1(monkeypatch, capsys):
-    monkeypatch.setattr(matrix, "cases", lambda target: [case(lambda: Outcome("too much", False))])
+    monkeypatch.setattr(matrix, "cases", lambda target: [case(lambda: StressOutcome("too much", False))])
     assert main(["stress"]) == 1
     assert "FAIL           t: n: too much  [c]" in capsys.readouterr().out
 
 
 def test_long_cases_wait_for_their_option(monkeypatch, capsys):
-    late = Case("t", "n", "c", lambda: Outcome("done", True), long=True)
+    late = StressCase("t", "n", "c", lambda: StressOutcome("done", True), long=True)
     monkeypatch.setattr(matrix, "cases", lambda target: [late])
     assert main(["stress"]) == 0 and "done" not in capsys.readouterr().out
     assert main(["stress", "--long"]) == 0 and "done" in capsys.readouterr().out

@@ -21,7 +21,7 @@ from phfmu.fmu.xml import etree
 from phfmu.references.experiment import Series, read_experiments, read_series, series_text
 from phfmu.references.layer import FOLDER, MANIFEST
 from phfmu.vet.claims.references import CLAIM
-from phfmu.vet.finding import FALSE, HOLDS, UNTESTED, Finding
+from phfmu.vet.finding import FALSE, HOLDS, UNTESTED, ClaimFinding
 from phfmu.vet.process import judged
 from phfmu.vet.subject import Subject
 from tests.fmu.public_units import public
@@ -46,7 +46,7 @@ def changed(unit: Path, files: Mapping[str, bytes | str]) -> Path:
     return new
 
 
-def tried(unit: Path) -> Finding:
+def tried(unit: Path) -> ClaimFinding:
     found = judged(CLAIM, Subject(unit))
     print(found.verdict, found.seen)
     return found

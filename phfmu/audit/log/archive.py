@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from phfmu.audit.kinds import ColumnType, RowKind
-from phfmu.audit.log.blocks import Decoder, Found, messages
+from phfmu.audit.log.blocks import Decoder, StreamBlocks, messages
 from phfmu.audit.log.columns import COLUMNS, SCHEMA_VERSION
 from phfmu.audit.log.lock import try_lock
 from phfmu.audit.log.seal import HOLDS_KEY, require_whole, seal
@@ -107,7 +107,7 @@ class Stream:
     def __init__(self, path: Path) -> None:
         self._path = path
         with _bytes_of(path) as data:
-            found = Found(data)
+            found = StreamBlocks(data)
             if not found.blocks:
                 raise ValueError(f"{path} was cut off in its header or is not an audit stream; it holds no rows")
             first = found.blocks[0]
@@ -164,7 +164,7 @@ def _used(columns: set[str]) -> list[str]:
 
 
 @dataclass(frozen=True, slots=True)
-class Compacted:
+class Compaction:
     """The result of compacting a stream: rows, and whether an incomplete batch ended it or others failed their check."""
 
     rows: int
@@ -172,7 +172,7 @@ class Compacted:
     damaged: int
 
 
-def compact(stream: Path, target: Path, expected: int | None = None) -> Compacted:
+def compact(stream: Path, target: Path, expected: int | None = None) -> Compaction:
     """Write the complete batches of a stream as Parquet without its empty columns.
 
     expected: rows of a run that ended; where the stream has others, nothing is written.  Two passes, so that memory does not grow
@@ -190,7 +190,7 @@ def compact(stream: Path, target: Path, expected: int | None = None) -> Compacte
         columns |= {name for name, c in zip(batch.schema.names, batch.columns, strict=True) if c.null_count < len(c)}
         more, end = _steps(batch, end)
         steps += more
-    found = Compacted(rows, first.torn, first.damaged)
+    found = Compaction(rows, first.torn, first.damaged)
     if expected not in (None, rows):
         return found
     keep, held = _used(columns), {"steps": steps, "end": end}

@@ -52,7 +52,7 @@ def sealed(block: bytearray, number: int) -> None:
 
 
 @dataclass(frozen=True)
-class Block:
+class LogBlock:
     """A block whose check holds: bytes [start, end) of the stream."""
 
     number: int
@@ -61,14 +61,14 @@ class Block:
     names: Names
 
 
-class Found:
+class StreamBlocks:
     """The blocks of a stream in order; what is between, before and after them.
 
     `torn`: an incomplete block ends the stream;  `damaged`: how many blocks are there, or must have been, that fail their check.
     """
 
     def __init__(self, data: mmap.mmap | bytes):
-        self.blocks: list[Block] = []
+        self.blocks: list[LogBlock] = []
         failed: list[tuple[int, int]] = []
         for place, end, block in _marked(data):
             if block is None:
@@ -86,7 +86,7 @@ class Found:
             self.torn = not (beyond or ended)
 
 
-def _marked(data: mmap.mmap | bytes) -> Iterator[tuple[int, int, Block | None]]:
+def _marked(data: mmap.mmap | bytes) -> Iterator[tuple[int, int, LogBlock | None]]:
     """Marks with where the block of each would end, and the block if its check holds."""
     for mark in _MARK.finditer(data):
         number, size, place, length = (int(mark[i]) for i in (1, 2, 3, 5))
@@ -99,7 +99,7 @@ def _marked(data: mmap.mmap | bytes) -> Iterator[tuple[int, int, Block | None]]:
         found = zlib.crc32(data[check + 8 : end], zlib.crc32(b"0" * 8, found))
         whole = found == int(mark[4], 16)
         names = json.loads(data[mark.end() : mark.end() + length]) if whole else {}
-        yield mark.start(), end, Block(number, start, end, names) if whole else None
+        yield mark.start(), end, LogBlock(number, start, end, names) if whole else None
 
 
 class Decoder:

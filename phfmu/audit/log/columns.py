@@ -89,7 +89,7 @@ Encode = Callable[[str, Sequence[str | None]], NDArray[np.int32]]
 
 
 @dataclass(frozen=True, slots=True)
-class Section:
+class LogSection:
     """n rows of one kind: column -> (values [n], valid [n] or None for all). Names are codes, -1 for null."""
 
     n: int
@@ -107,26 +107,26 @@ def _filled(column: str, values: Sequence[Any], encode: Encode) -> tuple[NDArray
     return np.array([0 if value is None else value for value in values], DTYPES[kind]), valid
 
 
-def event_section(events: Sequence[EventRow], encode: Encode) -> Section:
+def event_section(events: Sequence[EventRow], encode: Encode) -> LogSection:
     """Rows of events."""
     return _section(RowKind.EVENT, events, {"t0": "t"}, encode)
 
 
-def state_section(rows: Sequence[StateRow], encode: Encode) -> Section:
+def state_section(rows: Sequence[StateRow], encode: Encode) -> LogSection:
     """Rows of hashes of states."""
     return _section(RowKind.HASH, rows, {n: n for n in ("step", "t0", "h")}, encode)
 
 
-def _section(kind: RowKind, rows: Sequence[EventRow | StateRow], more: Mapping[str, str], encode: Encode) -> Section:
+def _section(kind: RowKind, rows: Sequence[EventRow | StateRow], more: Mapping[str, str], encode: Encode) -> LogSection:
     """Rows of a kind with its fields and with `more`, column -> attribute; columns without a value are left out."""
     fields = {**more, **{column: column for column in FIELDS[kind]}}
     values: dict[str, Sequence[Any]] = {"row": [kind] * len(rows)}
     values |= {column: [getattr(row, field) for row in rows] for column, field in fields.items()}
     columns = {column: _filled(column, entries, encode) for column, entries in values.items()}
-    return Section(len(rows), {name: entry for name, entry in columns.items() if entry[1].any()})
+    return LogSection(len(rows), {name: entry for name, entry in columns.items() if entry[1].any()})
 
 
-def block_sections(block: BookedSteps, encode: Encode) -> list[Section]:
+def block_sections(block: BookedSteps, encode: Encode) -> list[LogSection]:
     """Component, port, junction and network rows of a judged block, without a loop over its steps."""
     booking, s = block.booking, block.steps
     names = {"component": list(booking.components), "quality": [booking.quality(name) for name in booking.components]}
@@ -169,7 +169,7 @@ def block_sections(block: BookedSteps, encode: Encode) -> list[Section]:
     return sections
 
 
-def _terms(block: BookedSteps, values: NDArray[Any], encode: Encode) -> Iterator[Section]:
+def _terms(block: BookedSteps, values: NDArray[Any], encode: Encode) -> Iterator[LogSection]:
     """Energies fill dH, parts of R dissipated."""
     for stores, column in ((True, "dH"), (False, "dissipated")):
         own = [j for j, key in enumerate(block.booking.terms) if key.stores is stores]
@@ -184,7 +184,7 @@ def _repeat(
     names: dict[str, list[Any]],
     values: Mapping[str, NDArray[Any] | None],
     encode: Encode,
-) -> Section:
+) -> LogSection:
     """m rows a step: constant columns tiled over the n steps, tables [n,m] flattened."""
     present = {name: table for name, table in values.items() if table is not None}
     n, m = next(iter(present.values())).shape
@@ -200,4 +200,4 @@ def _repeat(
             columns[name] = np.tile(constant, n), None if valid.all() else np.tile(valid, n)
     for name, table in present.items():
         columns[name] = table.ravel(), None
-    return Section(n * m, columns)
+    return LogSection(n * m, columns)

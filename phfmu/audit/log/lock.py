@@ -1,4 +1,4 @@
-"""Who writes a log holds a lock on it, so that nobody takes it for what a crash left."""
+"""Lock on a log that is being written, so that nobody takes it for what a crash left."""
 
 import errno
 import os

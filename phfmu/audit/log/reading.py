@@ -26,7 +26,7 @@ COLUMN_BYTES = 1 << 28
 Names = NDArray[np.int64]
 
 
-class Interned:
+class InternedNames:
     """Names as numbers, the same over all batches; -1 stands for none."""
 
     def __init__(self) -> None:
@@ -74,7 +74,7 @@ class LogRows:
 
     @staticmethod
     def joined(parts: Sequence["LogRows"]) -> "LogRows":
-        """One after the other."""
+        """The rows of parts, one after the other."""
         if len(parts) == 1:
             return parts[0]
         first = parts[0]
@@ -112,7 +112,7 @@ class Batches:
     """Iterates over the batches of a source, each as {kind: LogRows}; `interned` are the names of all."""
 
     def __init__(self, source: "pa.Table | str | os.PathLike[str]") -> None:
-        self.interned = Interned()
+        self.interned = InternedNames()
         self._source = source
         #: what the footer of an archive says of it, once its batches are read
         self.holds: dict[str, Any] = {}

@@ -39,7 +39,7 @@ def seal(path: Path) -> None:
 
 
 def require_whole(path: Path) -> None:
-    """ValueError where the bytes are not those that were sealed; a file without a seal is of another writer."""
+    """Raise ValueError where the bytes are not those that were sealed; a file without a seal is of another writer."""
     with open(path, "rb") as file:
         start, footer = _footer(file)
         file.seek(max(0, start - _SIZE))

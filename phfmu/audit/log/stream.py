@@ -22,7 +22,7 @@ from phfmu.audit.log.columns import (
     COLUMNS,
     DTYPES,
     SCHEMA_VERSION,
-    Section,
+    LogSection,
     block_sections,
     event_section,
     state_section,
@@ -68,7 +68,7 @@ class AuditWriter:
         self._codes: dict[str, dict[str, int]] = {name: {} for name, kind in COLUMNS.items() if kind is ColumnType.NAME}
         self._names: dict[str, pa.Array] = {}
         self._events: list[EventRow] = []
-        self._sections: list[Section] = []
+        self._sections: list[LogSection] = []
         self._pending = 0
         #: rows taken so far
         self.rows = 0
@@ -161,7 +161,7 @@ class AuditWriter:
         self.stream.unlink(missing_ok=True)
 
     def mark(self) -> dict[str, Any]:
-        """Where the stream is, all rows so far on the disk; for `going_on`."""
+        """Flush all rows to the disk and return the position of the stream, for `going_on`."""
         self.flush()
         os.fsync(self._file.fileno())
         return {
@@ -185,7 +185,7 @@ class AuditWriter:
         with suppress(OSError):
             file.close()
 
-    def _put(self, sections: list[Section]) -> None:
+    def _put(self, sections: list[LogSection]) -> None:
         try:
             self._writer.write_batch(self._batch(sections), custom_metadata={BLOCK_KEY: opened(self._new_names())})
             block = bytearray(self._bytes.getvalue())
@@ -227,7 +227,7 @@ class AuditWriter:
             known = self._names[column] = pa.array(list(self._codes[column]), pa.string())
         return known
 
-    def _batch(self, sections: list[Section]) -> "pa.RecordBatch":
+    def _batch(self, sections: list[LogSection]) -> "pa.RecordBatch":
         import pyarrow as pa
 
         n = sum(section.n for section in sections)
@@ -274,7 +274,7 @@ def _again(path: Path, size: int) -> BinaryIO:
     return file
 
 
-def _joined(column: str, sections: list[Section], n: int) -> tuple[Any, Any]:
+def _joined(column: str, sections: list[LogSection], n: int) -> tuple[Any, Any]:
     """One column of all sections, one after the other, and where it is null."""
     values, null = np.zeros(n, DTYPES[COLUMNS[column]]), np.ones(n, bool)
     start = 0

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from phfmu.audit.booked_steps import varying_energy
 from phfmu.audit.booking import PROJECTION, Booking
-from phfmu.audit.judge import Account, Judge
+from phfmu.audit.judge import ComponentBalance, Judge
 from phfmu.audit.summing.run_sums import RunSums
 from phfmu.audit.summing.sums import CompensatedSum, Floats
 from phfmu.outcome.steps import Steps
@@ -57,7 +57,7 @@ class Ordinary:
         self.booking, self._library, self._sums, self._judge = booking, library, sums, judge
         self._c, self._q = len(booking.components), len(booking.ports)
         self._junctions, self._parts = list(booking.junctions), list(booking.parts)
-        self._known: dict[bool, tuple[Sequence[Account], list[CompensatedSum]]] = {}
+        self._known: dict[bool, tuple[Sequence[ComponentBalance], list[CompensatedSum]]] = {}
         sums.meet(booking)
         c, m = self._c, len(self._junctions)
         widths = dict.fromkeys(_SUMS[:8], c) | {
@@ -143,7 +143,7 @@ class Ordinary:
         found["varying"] = varying_energy(self.booking, found["H0"], found["H"])
         return found
 
-    def _by_order(self, accounts: Sequence[Account], lost: bool) -> list[CompensatedSum]:
+    def _by_order(self, accounts: Sequence[ComponentBalance], lost: bool) -> list[CompensatedSum]:
         """The sums in the order of compiled code; those of what the steps lack are for nothing."""
         by, b, names, junctions = self._sums.by, self.booking, self.booking.components, self._junctions
         keys = [(key, name) for key in ("dissipated", "supplied", "numerical", "stored") for name in names]
@@ -162,7 +162,7 @@ class Ordinary:
             self._judge.squares,
         ]
 
-    def _begin(self, accounts: Sequence[Account], sums: Sequence[CompensatedSum]) -> None:
+    def _begin(self, accounts: Sequence[ComponentBalance], sums: Sequence[CompensatedSum]) -> None:
         """The values that compiled code goes on from."""
         worst, parts, passed = self._sums.junctions, self._sums.parts, self._judge.passed
         state = [
@@ -183,7 +183,7 @@ class Ordinary:
         self._rows[:] = -1
         self._own.worst_unexplained = self._sums.unexplained
 
-    def _keep(self, accounts: Sequence[Account], sums: Sequence[CompensatedSum], H: Floats) -> None:
+    def _keep(self, accounts: Sequence[ComponentBalance], sums: Sequence[CompensatedSum], H: Floats) -> None:
         """The values that the last row leaves behind."""
         state = self._state.tolist()
         for each, high, low in zip(sums, state, state[self._many :], strict=False):

@@ -1,5 +1,6 @@
 """Compensated sums: the same bits however a run is cut into rows and blocks, by arrays or in compiled code."""
 
+import ctypes
 import math
 import threading
 from collections.abc import Sequence
@@ -58,7 +59,7 @@ class _Scratch(threading.local):
 
 
 _SCRATCH = _Scratch()
-#: the library of `compiled_sums.py` once a run is long enough for it
+#: the compiled library once a run is long enough for it
 _library: Any = None
 
 
@@ -66,11 +67,24 @@ def use_compiled() -> None:
     """Sums in compiled code from now on: the same bits; where there is no compiler they stay as they are."""
     global _library
     if _library is None:
-        from phfmu.audit.summing.compiled_sums import library
         from phfmu.engine.build.compile import CompileError, CompilerMissing
 
         with suppress(CompilerMissing, CompileError, OSError):
-            _library = library()
+            _library = _summing_library()
+
+
+def _summing_library() -> Any:
+    """The functions of runtime/sums.c, of this module and of the pass of `ordinary.py`; raises CompilerMissing, CompileError."""
+    from phfmu.engine.native.library import summing
+
+    lib = summing()
+    size, pointer = ctypes.c_ssize_t, ctypes.c_void_p
+    lib.ph_sums_down.restype = lib.ph_sums_across.restype = lib.ph_most_down.restype = None
+    lib.ph_sums_down.argtypes = [size, size, *[pointer] * 4]
+    lib.ph_sums_across.argtypes = [size, size, pointer, size, *[pointer] * 3]
+    lib.ph_most_down.argtypes = [size, size, pointer, pointer]
+    lib.ph_ordinary.argtypes = [pointer, size]
+    return lib
 
 
 def compiled() -> Any:

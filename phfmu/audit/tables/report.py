@@ -15,7 +15,7 @@ from phfmu.audit.alarms import Alarms, alarms
 from phfmu.audit.events import EventRow
 from phfmu.audit.kinds import CellKind, LedgerVerdict, RowKind
 from phfmu.audit.summary import LedgerSummary
-from phfmu.audit.tables.sheets import JOULE, Column, Scale, Sheet, all_sheets, sheets
+from phfmu.audit.tables.sheets import JOULE, Scale, Sheet, SheetColumn, all_sheets, sheets
 from phfmu.html import ROWS, grid, paragraph
 from phfmu.words import counted, shown
 
@@ -36,12 +36,12 @@ def shortened(sheet: Sheet, most: int) -> Sheet:
     return Sheet(sheet.title, sheet.columns, (*kept, (f"{len(others)} others", *cells[1:])))
 
 
-def _weight(columns: Sequence[Column], row: Sequence[Any]) -> tuple[bool, float]:
+def _weight(columns: Sequence[SheetColumn], row: Sequence[Any]) -> tuple[bool, float]:
     energies = [abs(v) for c, v in zip(columns, row, strict=True) if c.kind is CellKind.ENERGY and v is not None]
     return LedgerVerdict.VIOLATED in row, max((e for e in energies if not math.isnan(e)), default=0.0)
 
 
-def _together(column: Column, values: Sequence[Any]) -> Any:
+def _together(column: SheetColumn, values: Sequence[Any]) -> Any:
     """Energies add up, of the worst the worst remains, and a word that all share."""
     there = [v for v in values if v is not None]
     if column.kind is CellKind.ENERGY and column.adds:
@@ -51,8 +51,8 @@ def _together(column: Column, values: Sequence[Any]) -> Any:
     return values[0] if len(set(values)) == 1 else None
 
 
-class Shown(TypedDict, total=False):
-    """How `summary_table` shows a summary."""
+class SummaryTableOptions(TypedDict, total=False):
+    """Keyword arguments of `summary_table`."""
 
     width: int
     color: bool
@@ -103,7 +103,7 @@ def summary_table(
 
 
 def audit_html(summary: LedgerSummary) -> str:
-    """The same for a notebook, energies in joule."""
+    """Tables of a summary in HTML for a notebook, energies in joule."""
     tables = [
         grid("", [c.header for c in sheet.columns], [_cells(sheet, row, JOULE) for row in sheet.rows])
         for sheet in sheets(summary)
@@ -163,7 +163,7 @@ def _parts(
 
 
 def _heading(summary: LedgerSummary, scale: Scale) -> str:
-    """Unit, direction and span of what follows."""
+    """Line with the unit, direction and span of time of the energies."""
     if not summary.steps:
         return "no steps: nothing was stored, dissipated or supplied"
     span = f"{counted(summary.steps, 'step')} from t = {summary.t_start:.6g} s to {summary.t_end:.6g} s"
@@ -174,7 +174,7 @@ def _heading(summary: LedgerSummary, scale: Scale) -> str:
 
 
 def _happened(summary: LedgerSummary) -> str:
-    """How many events of each kind, "" for none."""
+    """Line with the number of events of each kind, "" for none."""
     parts = ", ".join(f"{count} {shown(kind)}" for kind, count in summary.events.items())
     return f"events: {parts}" if parts else ""
 
@@ -202,7 +202,7 @@ def _cells(sheet: Sheet, row: Sequence[Any], scale: Scale) -> list[str]:
     return [_cell(c, v, scale) for c, v in zip(sheet.columns, row, strict=True)]
 
 
-def _cell(column: Column, value: Any, scale: Scale) -> str:
+def _cell(column: SheetColumn, value: Any, scale: Scale) -> str:
     if value is None:
         return ""
     if column.kind is CellKind.ENERGY:

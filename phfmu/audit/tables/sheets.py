@@ -17,7 +17,7 @@ from phfmu.audit.tables.sheet_names import UNITS
 
 
 @dataclass(frozen=True)
-class Column:
+class SheetColumn:
     """A header, the value of an entry, whether it is an energy (J), another number or a word, and if energies add up."""
 
     header: str
@@ -35,13 +35,13 @@ class Sheet:
     """Rows of values under columns; the first is the name of the row."""
 
     title: RowKind
-    columns: tuple[Column, ...]
+    columns: tuple[SheetColumn, ...]
     rows: tuple[tuple[Any, ...], ...]
 
 
 @dataclass(frozen=True)
 class Scale:
-    """How energies are written: in `unit`, or as a part of `whole` (J) in percent, of which `words` say what it is."""
+    """Scale in which energies are written: `unit`, or percent of `whole` [J], which `words` describe."""
 
     unit: str = "J"
     whole: float | None = None
@@ -91,73 +91,73 @@ def sheets(summary: LedgerSummary, events: Sequence[EventRow] = ()) -> Iterator[
 
 
 def all_sheets(summary: LedgerSummary, events: Sequence[EventRow] = ()) -> tuple[Sheet, ...]:
-    """Those without rows too."""
+    """All sheets of a summary, those without rows too."""
     flows = (_components(summary), _terms(summary), _ports(summary), _junctions(summary), _parts(summary))
     return (*flows, _network(summary), _events(events))
 
 
-def _sheet(title: RowKind, columns: Sequence[Column], entries: Sequence[Any]) -> Sheet:
+def _sheet(title: RowKind, columns: Sequence[SheetColumn], entries: Sequence[Any]) -> Sheet:
     return Sheet(title, tuple(columns), tuple(tuple(c.value(e) for c in columns) for e in entries))
 
 
 def _components(summary: LedgerSummary) -> Sheet:
     columns = [
-        Column("component", lambda c: c.component, CellKind.NAME),
-        Column("H start", lambda c: c.H_start),
-        Column("H end", lambda c: c.H_end),
-        Column("stored", lambda c: c.stored),
+        SheetColumn("component", lambda c: c.component, CellKind.NAME),
+        SheetColumn("H start", lambda c: c.H_start),
+        SheetColumn("H end", lambda c: c.H_end),
+        SheetColumn("stored", lambda c: c.stored),
     ]
     for name in ("dissipated", "numerical", "supplied", "jumps"):
         if any(getattr(c, name) for c in summary.components):
-            columns.append(Column(name, lambda c, name=name: getattr(c, name)))
+            columns.append(SheetColumn(name, lambda c, name=name: getattr(c, name)))
     if any(j.verdict in MAKING for j in summary.junctions) and any(c.gross for c in summary.components):
-        columns.append(Column("gross", lambda c: c.gross))
+        columns.append(SheetColumn("gross", lambda c: c.gross))
     columns += [
-        Column(ALLOWANCE, lambda c: c.worst_ratio, CellKind.RATIO),
-        Column("verdict", lambda c: c.verdict, CellKind.WORD),
+        SheetColumn(ALLOWANCE, lambda c: c.worst_ratio, CellKind.RATIO),
+        SheetColumn("verdict", lambda c: c.verdict, CellKind.WORD),
     ]
     return _sheet(RowKind.COMPONENT, columns, summary.components)
 
 
 def _terms(summary: LedgerSummary) -> Sheet:
     columns = (
-        Column("term", lambda t: f"{t.component}.{t.term}", CellKind.NAME),
-        Column("stored", lambda t: t.energy if t.stores else None),
-        Column("dissipated", lambda t: None if t.stores else t.energy),
+        SheetColumn("term", lambda t: f"{t.component}.{t.term}", CellKind.NAME),
+        SheetColumn("stored", lambda t: t.energy if t.stores else None),
+        SheetColumn("dissipated", lambda t: None if t.stores else t.energy),
     )
     return _sheet(RowKind.TERM, columns, summary.terms)
 
 
 def _ports(summary: LedgerSummary) -> Sheet:
     columns = [
-        Column("port", lambda p: f"{p.component}.{p.port}", CellKind.NAME),
-        Column("supplied", lambda p: p.supplied),
+        SheetColumn("port", lambda p: f"{p.component}.{p.port}", CellKind.NAME),
+        SheetColumn("supplied", lambda p: p.supplied),
     ]
     if any(p.junction for p in summary.ports):
-        columns.append(Column("junction", lambda p: p.junction or "(external)", CellKind.WORD))
+        columns.append(SheetColumn("junction", lambda p: p.junction or "(external)", CellKind.WORD))
     if any(p.quality == Quality.ESTIMATED for p in summary.ports):
-        columns.append(Column("quality", lambda p: p.quality, CellKind.WORD))
+        columns.append(SheetColumn("quality", lambda p: p.quality, CellKind.WORD))
     return _sheet(RowKind.PORT, columns, summary.ports)
 
 
 def _junctions(summary: LedgerSummary) -> Sheet:
     columns = [
-        Column("junction", lambda j: j.junction, CellKind.NAME),
-        Column("residual", lambda j: j.residual),
-        Column("gross", lambda j: j.gross),
-        Column("worst step", lambda j: j.worst_residual, adds=False),
-        Column("exchanged", lambda j: j.exchanged),
-        Column("verdict", lambda j: j.verdict, CellKind.WORD),
+        SheetColumn("junction", lambda j: j.junction, CellKind.NAME),
+        SheetColumn("residual", lambda j: j.residual),
+        SheetColumn("gross", lambda j: j.gross),
+        SheetColumn("worst step", lambda j: j.worst_residual, adds=False),
+        SheetColumn("exchanged", lambda j: j.exchanged),
+        SheetColumn("verdict", lambda j: j.verdict, CellKind.WORD),
     ]
     return _sheet(RowKind.JUNCTION, columns, summary.junctions)
 
 
 def _parts(summary: LedgerSummary) -> Sheet:
     columns = [
-        Column("junction", lambda p: p.junction, CellKind.NAME),
-        Column("part", lambda p: p.part, CellKind.WORD),
-        Column("residual", lambda p: p.residual),
-        Column("worst step", lambda p: p.worst_residual, adds=False),
+        SheetColumn("junction", lambda p: p.junction, CellKind.NAME),
+        SheetColumn("part", lambda p: p.part, CellKind.WORD),
+        SheetColumn("residual", lambda p: p.residual),
+        SheetColumn("worst step", lambda p: p.worst_residual, adds=False),
     ]
     return _sheet(RowKind.PART, columns, summary.parts)
 
@@ -180,20 +180,23 @@ def _network(summary: LedgerSummary) -> Sheet:
         "unexplained, worst step": network.worst_unexplained,
     }
     columns = (
-        Column("network", lambda e: e[0], CellKind.NAME),
-        Column("energy", lambda e: e[1]),
-        Column("verdict", lambda e: network.verdict if e[0] == "unexplained" else "", CellKind.WORD),
+        SheetColumn("network", lambda e: e[0], CellKind.NAME),
+        SheetColumn("energy", lambda e: e[1]),
+        SheetColumn("verdict", lambda e: network.verdict if e[0] == "unexplained" else "", CellKind.WORD),
     )
     return _sheet(RowKind.NETWORK, columns, [(k, v) for k, v in values.items() if v is not None])
 
 
 def _events(events: Sequence[EventRow]) -> Sheet:
-    columns = [Column("event", lambda e: e.kind, CellKind.NAME), Column("t [s]", lambda e: e.t, CellKind.TIME)]
+    columns = [
+        SheetColumn("event", lambda e: e.kind, CellKind.NAME),
+        SheetColumn("t [s]", lambda e: e.t, CellKind.TIME),
+    ]
     if any(e.component for e in events):
-        columns.append(Column("component", lambda e: e.component or "", CellKind.WORD))
+        columns.append(SheetColumn("component", lambda e: e.component or "", CellKind.WORD))
     if any(e.energy_jump for e in events):
-        columns.append(Column("jump", lambda e: e.energy_jump))
+        columns.append(SheetColumn("jump", lambda e: e.energy_jump))
     if any(e.lost for e in events):
-        columns.append(Column("lost", lambda e: e.lost))
-    columns.append(Column("message", lambda e: e.message or "", CellKind.WORD))
+        columns.append(SheetColumn("lost", lambda e: e.lost))
+    columns.append(SheetColumn("message", lambda e: e.message or "", CellKind.WORD))
     return _sheet(RowKind.EVENT, columns, events)

@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Callable
 from typing import Any
 
-from phfmu.cli.progress import Line
+from phfmu.cli.progress import StatusLine
 
 
 def add_parser(verbs: Any) -> None:
@@ -92,39 +92,24 @@ def _scaling(args: argparse.Namespace) -> int:
     sizes = _numbers("--sizes", args.sizes)
     if any(n != int(n) for n in sizes):
         raise ValueError(f"--sizes {args.sizes}: expected whole numbers with commas between, e.g. 10,100,1000")
-    with Line() as progress:
+    with StatusLine() as progress:
         lines = report(_names(args.families), [int(n) for n in sizes], Path(args.output), progress)
     print("\n".join(lines))
     return FINE
 
 
 def _leave_out(args: argparse.Namespace) -> int:
-    from pathlib import Path
-
-    from phfmu.cli.codes import FINE
     from phfmu.studies.bench.leave_out import page, table
 
-    if args.output:
-        Path(args.output).write_text(page())
-        print(f"page: {args.output}")
-    else:
-        print(table())
-    return FINE
+    return _paged(args, page, table)
 
 
 def _coupling(args: argparse.Namespace) -> int:
-    from pathlib import Path
+    from functools import partial
 
-    from phfmu.cli.codes import FINE
     from phfmu.studies.bench.apart.coupling import page, table
 
-    with Line() as progress:
-        text = page(progress) if args.output else table(_names(args.families), progress)
-    if args.output:
-        Path(args.output).write_text(text, encoding="utf-8")
-        text = f"page: {args.output}"
-    print(text)
-    return FINE
+    return _paged(args, page, partial(table, _names(args.families)))
 
 
 def _sweep(args: argparse.Namespace) -> int:
@@ -149,7 +134,7 @@ def _fit(args: argparse.Namespace) -> int:
 
 
 def _blame(args: argparse.Namespace) -> int:
-    from phfmu.studies.blame.report import Found, measure, page, summary, table
+    from phfmu.studies.blame.report import CampaignResult, measure, page, summary, table
 
     seeds = _numbers("--seeds", args.seeds)
     if any(s != int(s) for s in seeds) or args.cases < 1:
@@ -157,10 +142,10 @@ def _blame(args: argparse.Namespace) -> int:
             f"--seeds {args.seeds} --cases {args.cases}: expected positive whole numbers, e.g. --seeds 1,2 --cases 200"
         )
 
-    def found(progress: Line) -> list[Found]:
+    def found(progress: StatusLine) -> list[CampaignResult]:
         return [measure(int(s), args.cases, progress) for s in seeds]
 
-    def tables(progress: Line) -> str:
+    def tables(progress: StatusLine) -> str:
         return "\n\n".join(f"{summary(f)}\n\n{table(f)}" for f in found(progress))
 
     return _paged(args, lambda progress: page(found(progress)), tables)
@@ -172,7 +157,7 @@ def _paged(args: argparse.Namespace, page: Callable[..., str], table: Callable[.
 
     from phfmu.cli.codes import FINE
 
-    with Line() as progress:
+    with StatusLine() as progress:
         text = page(progress) if args.output else table(progress=progress)
     if args.output:
         Path(args.output).write_text(text, encoding="utf-8")
@@ -187,7 +172,7 @@ def _orders(args: argparse.Namespace) -> int:
     from phfmu.cli.codes import FINE
     from phfmu.studies.bench.orders import measure, table
 
-    with Line() as progress:
+    with StatusLine() as progress:
         text = table(measure(_names(args.families), progress))
     if args.output:
         Path(args.output).write_text(text + "\n", encoding="utf-8")
@@ -203,13 +188,13 @@ def _compare(args: argparse.Namespace) -> int:
     from phfmu.cli.settings import settings
     from phfmu.studies.bench.families import member
     from phfmu.studies.bench.precision.problem import problem_of
-    from phfmu.studies.bench.precision.run import TOLERANCES, Choice, compare, known_peers, write
+    from phfmu.studies.bench.precision.run import TOLERANCES, ComparisonSettings, compare, known_peers, write
     from phfmu.target import scene
 
     if args.repeat < 1:
         raise ValueError(f"--repeat {args.repeat}: at least one timed run is needed")
     found = member(args.target) or scene(args.target)
-    choice = Choice(
+    choice = ComparisonSettings(
         schemes=_names(args.schemes), engines=_names(args.engines), steps=_numbers("--steps", args.steps),
         tolerances=_numbers("--tolerances", args.tolerances) or TOLERANCES, peers=known_peers(_names(args.peers)),
         repeat=args.repeat, errors=_numbers("--errors", args.errors),
@@ -221,7 +206,7 @@ def _compare(args: argparse.Namespace) -> int:
     problem = problem_of(replace(found, system=declared), times=times, stop=args.stop, judged=states)
     if args.reference:
         problem.read_reference(args.reference)
-    with Line() as progress:
+    with StatusLine() as progress:
         found = compare(problem, choice, progress)
     print("\n".join(write(found, Path(args.output))))
     return FINE

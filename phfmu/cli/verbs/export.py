@@ -208,7 +208,7 @@ def export_apart(args: argparse.Namespace, s: Scene) -> int:
 
 
 def _require_coupling(args: argparse.Namespace) -> None:
-    """ValueError for a coupling of a unit that has no members to couple."""
+    """Raise ValueError for a coupling of a unit that has no members to couple."""
     for option, asked in {"--coupling": args.coupling, "--sequence": args.sequence}.items():
         if asked and not args.as_unit:
             raise ValueError(f"{option} {asked} joins members that stay apart in the unit; say --as-unit too")
@@ -277,7 +277,7 @@ def export_package(args: argparse.Namespace, s: Scene) -> int:
     from phfmu.cli.sound import require_sound_scene
     from phfmu.cli.timeline import started
     from phfmu.fmu.export.export import PLATFORMS
-    from phfmu.ssp.export import Options, export_ssp, network_of
+    from phfmu.ssp.export import PackageOptions, export_ssp, network_of
 
     _refuse_others(args)
     given = settings(args.set)
@@ -290,7 +290,7 @@ def export_package(args: argparse.Namespace, s: Scene) -> int:
     step = args.step if args.step is not None else s.step
     schemes = {n: scheme_of(args, d, member=True) for n, d in network_of(s).declared.items()}
     platforms = list(PLATFORMS) if args.all_platforms else args.platform
-    options = Options(step, f"{(args.fmi or ['2'])[0]}.0", platforms, schemes, args.outward)
+    options = PackageOptions(step, f"{(args.fmi or ['2'])[0]}.0", platforms, schemes, args.outward)
     path, left_out = export_ssp(s, args.output, options, args.ssp)
     for line in (*s.notes, *notes):
         print(f"phfmu: {line}", file=sys.stderr)
@@ -301,7 +301,7 @@ def export_package(args: argparse.Namespace, s: Scene) -> int:
 
 
 def _refuse_others(args: argparse.Namespace) -> None:
-    """ValueError for options that are about a single unit."""
+    """Raise ValueError for options that are about a single unit."""
     chosen = {"--node-inputs": args.node_inputs, "--impulses": args.impulses, "--arrays": args.arrays,
               "--no-terminals": args.no_terminals, "--outputs local": args.outputs != "ledger",
               "--tunable": args.tunable, "--events inside": args.events != "outside",

@@ -56,10 +56,10 @@ def add_parser(verbs: Any) -> None:
 def call(args: argparse.Namespace) -> int:
     from phfmu.cli.codes import FINE
     from phfmu.cli.one_model import members_apart, one_model
-    from phfmu.cli.progress import Line
+    from phfmu.cli.progress import StatusLine
     from phfmu.cli.sensitivity import listed
     from phfmu.derivatives.fits.fit import fit
-    from phfmu.interrupt import Signals
+    from phfmu.interrupt import DeferredInterrupt
 
     if args.output and not args.output.endswith(".json"):
         raise ValueError(f"-o {args.output}: its name ends with .json")
@@ -70,7 +70,7 @@ def call(args: argparse.Namespace) -> int:
     one = one_model(args) if args.coupling == "monolithic" else members_apart(args, args.coupling)
     experiments = _experiments(args, one)
     instance = one.instance(100.0 * max(e.options.stop / e.options.step for e in experiments))
-    with Signals() as signals, Line() as line:
+    with DeferredInterrupt() as signals, StatusLine() as line:
 
         def progress(runs: int, residual: float) -> None:
             signals.check()
@@ -144,7 +144,7 @@ def _experiments(args: argparse.Namespace, one: OneModel | MembersApart) -> list
 
 
 def _lines(args: argparse.Namespace, found: Fit) -> list[str]:
-    """What was found, as a table."""
+    """Table of the values that were found, by lines."""
     from phfmu.words import counted
 
     n = sum(len(times) for _, _, times, _, _ in found.curves)

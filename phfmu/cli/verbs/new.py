@@ -46,7 +46,7 @@ def _text(starter: str) -> str:
 
 
 def _require_name(name: str) -> None:
-    """ValueError for what is no name of a function, or of a module that the file would hide."""
+    """Raise ValueError for a text that is no name of a function, or that of a module that the file would hide."""
     import re
     from importlib.util import find_spec
     from keyword import iskeyword

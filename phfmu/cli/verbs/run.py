@@ -13,9 +13,12 @@ from typing import TYPE_CHECKING, Any
 from phfmu.words import counted
 
 if TYPE_CHECKING:
+    from phfmu.audit.summary import LedgerSummary
+    from phfmu.cli.outputs import Outputs
     from phfmu.discretise.start import Projection
     from phfmu.network.couplings.stepper import Stepper
     from phfmu.network.scene import Event, Scene
+    from phfmu.runs.accuracy import RunRecord
     from phfmu.runs.inputs.input_rows import InputRows
     from phfmu.runs.options import Options
     from phfmu.runs.result import Result
@@ -103,23 +106,21 @@ def _add_outputs(parser: argparse.ArgumentParser) -> None:
 def call(args: argparse.Namespace) -> int:
     from time import perf_counter
 
-    from phfmu.audit.tables.report import summary_table
-    from phfmu.audit.tables.sheet_names import ROWS
     from phfmu.cli import accuracy, options
-    from phfmu.cli.checkpoints import Checkpoints
+    from phfmu.cli.checkpoints import CheckpointFile
     from phfmu.cli.codes import FINE, LEDGER
     from phfmu.cli.job import job_of
     from phfmu.cli.outputs import Outputs
-    from phfmu.cli.progress import Bar
+    from phfmu.cli.progress import ProgressBar
     from phfmu.cli.sound import require_sound_scene
     from phfmu.cli.timeline import timeline
-    from phfmu.interrupt import Signals
+    from phfmu.interrupt import DeferredInterrupt
     from phfmu.runs.loop import run
     from phfmu.signals import derivative_name
     from phfmu.target import is_fmu
 
     accuracy.require_fit(args)
-    checkpoints = Checkpoints(args)
+    checkpoints = CheckpointFile(args)
     outputs, job = Outputs(args, checkpoints), job_of(args)
     chosen, scene, label = options.of_run(args, job.scene, whole=job.whole), job.scene, job.label
     stepper = job.build()
@@ -135,7 +136,7 @@ def call(args: argparse.Namespace) -> int:
     if changes and not is_fmu(args.target):
         require_sound_scene(args, scene, changes)
     begun = perf_counter()
-    with Signals() as signals, outputs, Bar("simulating", chosen.stop, args.quiet) as bar:
+    with DeferredInterrupt() as signals, outputs, ProgressBar("simulating", chosen.stop, args.quiet) as bar:
 
         def progress(t: float) -> None:
             bar(t)
@@ -145,27 +146,38 @@ def call(args: argparse.Namespace) -> int:
         marks = (e for e in chain(events, held) if e.t < chosen.stop)
         about = {"target": args.target, "run": label, "kernels": job.kernels.words}
         outputs.begin(about, scene.shapes, () if args.signals else scene.shown)
-        columns = partial(outputs.columns, chosen, marks)
         record = accuracy.recorded(args, chosen.step)
-        options_here = replace(
-            chosen, sink=outputs.sink, progress=progress,
-            columns=both(columns, record and record.columns), keep=both(outputs.keep, record and record.keep),
-            happened=both(outputs.happened, record and record.event),
-        )  # fmt: skip
-        result = run(stepper, options_here, inputs=rows, interpolate=args.interpolate)
+        recorded = replace(_recorded(chosen, outputs, marks, record), progress=progress)
+        result = run(stepper, recorded, inputs=rows, interpolate=args.interpolate)
         seconds = perf_counter() - begun - outputs.seconds
     summary = result.ledger.summary()
     if not args.quiet:
         _print_run(args, label + job.kernels.words, result, chosen, seconds)
         _print_notes([*job.notes, *dropped, *result.notes, *outputs.notes])
         if chosen.audited:
-            print(summary_table(summary, most=ROWS), end="")
+            _print_ledger(summary)
     if record is not None:
         accuracy.print_accuracy(args, record, job.order, chosen)
     if summary.closed:
         return FINE
     _print_violated(result, None if is_fmu(args.target) or scene.units else scene, changes)
     return LEDGER
+
+
+def _recorded(chosen: Options, outputs: Outputs, marks: Iterator[Event], record: RunRecord | None) -> Options:
+    """The options with all that takes columns, rows and events of the run: its files, and the record of --accuracy."""
+    return replace(
+        chosen, sink=outputs.sink, columns=both(partial(outputs.columns, chosen, marks), record and record.columns),
+        keep=both(outputs.keep, record and record.keep), happened=both(outputs.happened, record and record.event),
+    )  # fmt: skip
+
+
+def _print_ledger(summary: LedgerSummary) -> None:
+    """The tables of the ledger, of large ones the rows that matter most."""
+    from phfmu.audit.tables.report import summary_table
+    from phfmu.audit.tables.sheet_names import ROWS
+
+    print(summary_table(summary, most=ROWS), end="")
 
 
 def _print_violated(result: Result, declared: Scene | None, events: Sequence[Event]) -> None:
@@ -202,7 +214,7 @@ def both(first: Callable[..., None], second: Callable[..., None] | None) -> Call
 
 
 def _every(text: str | None) -> int | float | None:
-    """A number of rows, or a time with its unit; ValueError for anything else."""
+    """Number of rows, or time with its unit, of --every; raises ValueError for anything else."""
     if text is None:
         return None
     try:
@@ -273,7 +285,7 @@ def _print_worst(groups: dict[str, float]) -> None:
 
 
 def _print_notes(notes: list[str]) -> None:
-    """The notes of what was left out or done beside what was asked for."""
+    """Print the first notes about what was left out or done beside what was asked for."""
     for note in notes[:NOTES]:
         print(note)
     if len(notes) > NOTES:

@@ -20,7 +20,7 @@ def call(args: argparse.Namespace) -> int:
     from pathlib import Path
 
     from phfmu.cli.codes import FINE, PROBLEMS
-    from phfmu.cli.progress import Line
+    from phfmu.cli.progress import StatusLine
     from phfmu.files import require_folder
     from phfmu.studies.stress.case import Verdict, answer
     from phfmu.studies.stress.matrix import cases
@@ -36,7 +36,7 @@ def call(args: argparse.Namespace) -> int:
     for case in found:
         if case.long and not args.long:
             continue
-        with Line() as at_work:
+        with StatusLine() as at_work:
             at_work(f"{case.target}: {case.name} ...")
             lines.append(answer(case))
         print(short(lines[-1]), flush=True)

@@ -90,7 +90,7 @@ def call(args: argparse.Namespace) -> int:
 
     from phfmu.cli.codes import FINE, LEDGER, NO_CONVERGENCE
     from phfmu.cli.options import scene_of
-    from phfmu.cli.progress import Bar
+    from phfmu.cli.progress import ProgressBar
     from phfmu.sweeps import design
     from phfmu.sweeps.runs import sweep
     from phfmu.target import is_fmu
@@ -106,7 +106,7 @@ def call(args: argparse.Namespace) -> int:
     anywhere = scheduler is not None
     taken = _apart(args, runs, anywhere) if s is None or _is_apart(args, s) else _composed(args, s, runs, anywhere)
     begun, notes = perf_counter(), list[str]()
-    with Bar("runs", len(runs.rows), args.quiet) as bar:
+    with ProgressBar("runs", len(runs.rows), args.quiet) as bar:
         table = sweep(
             design=runs, measures=args.measure, scheduler=scheduler, file=file, resume=args.resume, keep=folder, progress=bar,
             lanes=args.lanes, told=notes.append, **taken,
@@ -131,7 +131,7 @@ def _is_apart(args: argparse.Namespace, s: Scene) -> bool:
 
 
 def _composed(args: argparse.Namespace, s: Scene, runs: Design, anywhere: bool) -> dict[str, Any]:
-    """What `sweep` takes for runs of one composed model: `anywhere` other processes take them."""
+    """Arguments of `sweep` for runs of one composed model; `anywhere`: other processes take them."""
     from functools import partial
 
     from phfmu.cli import options
@@ -157,7 +157,7 @@ def _again(args: argparse.Namespace) -> Scene:
 
 
 def _apart(args: argparse.Namespace, runs: Design, anywhere: bool) -> dict[str, Any]:
-    """What `sweep` takes for runs of members apart or of units; what a run would tell stands on stderr once.
+    """Arguments of `sweep` for runs of members apart or of units; what a run would tell stands on stderr once.
 
     Units in this process are taken by one thread unless more are asked for: their libraries may share what they keep.
     """
@@ -200,7 +200,7 @@ def _with(args: argparse.Namespace, values: Mapping[str, float]) -> argparse.Nam
 
 
 def _stepper(args: argparse.Namespace, values: Mapping[str, float]) -> tuple[Stepper, Options]:
-    """What `phfmu run` would step with these values."""
+    """Stepper and options of `phfmu run` with these values."""
     from dataclasses import replace
 
     from phfmu.cli import options
@@ -262,7 +262,7 @@ def _file(args: argparse.Namespace) -> Path | None:
 
 
 def _require_sound(args: argparse.Namespace, declaration: PHDAE, runs: Design) -> None:
-    """ValueError with the problems of the least and the greatest value that each parameter takes."""
+    """Raise ValueError with the problems of the least and the greatest value that each parameter takes."""
     from phfmu.cli.sound import require_sound
     from phfmu.network.scene import Event
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from phfmu.vet.process import Vetted
+    from phfmu.vet.process import VettingResult
 
 
 def add_parser(verbs: Any) -> None:
@@ -24,7 +24,7 @@ def add_parser(verbs: Any) -> None:
 
 def call(args: argparse.Namespace) -> int:
     from phfmu.cli.codes import FINE, PROBLEMS
-    from phfmu.cli.progress import Line
+    from phfmu.cli.progress import StatusLine
     from phfmu.vet.claims.claims import chosen
     from phfmu.vet.page import lines
     from phfmu.vet.process import vet
@@ -33,9 +33,9 @@ def call(args: argparse.Namespace) -> int:
         raise ValueError(f"--seconds {args.seconds:g}: expected a number of seconds from 1")
     claims = chosen(args.claim)
     _require_folders(args.json, args.html)
-    found: list[Vetted] = []
+    found: list[VettingResult] = []
     for path in args.units:
-        with Line() as line:
+        with StatusLine() as line:
             found.append(vet(path, args.seconds, claims, lambda claim, path=path: line(f"{path}: {claim}")))
         print("\n".join(lines(found[-1])))
     _write(args, found)
@@ -48,7 +48,7 @@ def _require_folders(*paths: str | None) -> None:
             raise ValueError(f"{path}: there is no folder {Path(path).parent}; make it first")
 
 
-def _write(args: argparse.Namespace, found: list[Vetted]) -> None:
+def _write(args: argparse.Namespace, found: list[VettingResult]) -> None:
     import json
 
     from phfmu.vet.page import page

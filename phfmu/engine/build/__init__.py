@@ -1,1 +1,1 @@
-"""From plans to libraries: C text, the tables of the runtime, the compiler and its cache."""
+"""Building of libraries from plans: C text, the tables of the runtime, the compiler and its cache."""

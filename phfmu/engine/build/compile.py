@@ -27,8 +27,8 @@ from phfmu.engine.build.objects import Toolchain
 #: contraction to fused multiply-add would make results depend on the target, and powers of constants that become calls of
 #: other functions on the compiler
 FLAGS = ("-std=c11", "-O2", "-g0", "-ffp-contract=off", "-fno-builtin-pow", "-fvisibility=hidden", "-fPIC")
-#: of generated sources above this many characters (some 8000 operations), besides: Clang's search for equal operations side by
-#: side takes more than all else of a long block, and what it finds there makes no step faster
+#: flags of generated sources above this many characters (some 8000 operations), besides: Clang's search for equal operations
+#: side by side takes more than all else of a long block, and what it finds there makes no step faster
 LONG, LONG_FLAGS = 200_000, ("-fno-tree-slp-vectorize",)
 LINK = ("-shared", "-s")
 SUFFIX = {"linux": ".so", "macos": ".dylib", "windows": ".dll"}
@@ -59,7 +59,7 @@ def host_target() -> str:
 
 #: the flags of zig for the x86-64-v3 level
 ZIG_WIDE = ("-mcpu=x86_64_v3",)
-#: what Linux calls the instructions of the x86-64-v3 level that lanes use
+#: names by Linux of the instructions of the x86-64-v3 level that lanes use
 LEVEL_3 = {"avx", "avx2", "bmi1", "bmi2", "f16c", "fma", "abm", "movbe"}
 
 
@@ -238,7 +238,7 @@ def compile(
     return replace(built, path=out or built.path)
 
 
-#: where a wheel has the libraries that all models have in common, compiled for its platform
+#: folder in which a wheel has the libraries that all models have in common, compiled for its platform
 SHIPPED = Path(__file__).parent / "shipped"
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from phfmu.events.event_plan import EventPlan
-from phfmu.events.roots import fit
+from phfmu.events.polynomial import guard_fit
 from phfmu.plan.factor_entries import permuted_entries
 from phfmu.plan.plan import Floats, Group, Ints, Kernel, Plan, Powers, Products
 from phfmu.schur.lane_groups import KINDS, LaneGroup, in_order
@@ -200,7 +200,7 @@ def schur_sizes(schur: SchurStepper) -> dict[str, Any]:
 
 def event_values(plan: EventPlan) -> dict[str, Any]:
     """Sizes, the jumps, and the matrices of the fit at its points."""
-    found, polynomial, jump = fit(plan.polynomial.nodes.k), plan.polynomial, plan.jump
+    found, polynomial, jump = guard_fit(plan.polynomial.nodes.k), plan.polynomial, plan.jump
     names = ("moved", "component", "most", "pushes")
     tables = {f"jump_{name}": () if jump is None else getattr(jump, name) for name in names}
     return {

@@ -156,7 +156,7 @@ class CTables(TableMemory):
         self._derived |= {name: self._plan(getattr(model, name)) for name in ("step", "instant")}
         self._model = self.fill("ph_model", model, self._derived)
         self.pointer = ctypes.addressof(self._model)
-        #: of the state events, None without
+        #: structure of the state events, None without
         self.events = None if model.events is None else self._events(model.events)
 
     def like(self, model: EngineModel) -> CTables:

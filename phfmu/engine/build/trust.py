@@ -1,4 +1,4 @@
-"""Whether others could put files in a folder, or a folder in its place.
+"""Trust in folders: reasons why others could put files in a folder, or a folder in its place.
 
 What is loaded from a cache runs as the user.  So nobody else may write to it, to its parts, or to a folder above it: who can
 write there can move the cache away and put another one there, unless a sticky bit keeps what is in it for its owners, as in /tmp.

@@ -27,7 +27,7 @@ from phfmu.engine.build.tables import TableMemory
 from phfmu.engine.native.library import runtime
 from phfmu.schur.stepper import SchurStepper
 
-#: how kernels run; auto: compiled if that is in the cache, or a Schur stepper needs it, else interpreted to begin with
+#: forms of kernels; auto: compiled if that is in the cache, or a Schur stepper needs it, else interpreted to begin with
 Kind = Literal["auto", "compiled", "interpreted"]
 
 #: s that a compiler takes: always, and for each operation of the kernels (zig and gcc on one core, measured)
@@ -39,7 +39,7 @@ Announce = Callable[[], None] | None
 
 
 class KernelRow(ctypes.Structure):
-    """ph_kernel."""
+    """The structure ph_kernel of the runtime."""
 
     _fields_ = [
         *((n, ctypes.c_void_p) for n in ("value", "full", "ledger")),
@@ -49,7 +49,7 @@ class KernelRow(ctypes.Structure):
 
 
 class FunctionRow(ctypes.Structure):
-    """ph_function."""
+    """The structure ph_function of the runtime."""
 
     _fields_ = [
         ("call", ctypes.c_void_p),
@@ -59,7 +59,7 @@ class FunctionRow(ctypes.Structure):
 
 
 class CodeRow(ctypes.Structure):
-    """ph_code."""
+    """The structure ph_code of the runtime."""
 
     _fields_ = [
         ("token", ctypes.c_uint64),

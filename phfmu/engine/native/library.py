@@ -30,7 +30,7 @@ def record_widths(model: EngineModel, signals: int) -> dict[str, int]:
 
 
 class StepReport(ctypes.Structure):
-    """ph_report."""
+    """The structure ph_report of the runtime."""
 
     _fields_ = [
         *((n, ctypes.c_int) for n in ("status", "row", "column", "iterations", "spent", "instant", "solved")),
@@ -39,13 +39,13 @@ class StepReport(ctypes.Structure):
 
 
 class Column(ctypes.Structure):
-    """ph_column."""
+    """The structure ph_column of the runtime."""
 
     _fields_ = [("data", ctypes.c_void_p), ("stride", ctypes.c_ssize_t)]
 
 
 class Record(ctypes.Structure):
-    """ph_record."""
+    """The structure ph_record of the runtime."""
 
     _fields_ = [("input", ctypes.c_void_p), ("input_stride", ctypes.c_ssize_t)]
     _fields_ += [("at_nodes", ctypes.c_int), ("parts", ctypes.c_int), ("first", ctypes.c_longlong)]
@@ -53,13 +53,13 @@ class Record(ctypes.Structure):
 
 
 class RestChangeStruct(ctypes.Structure):
-    """ph_rest_change."""
+    """The structure ph_rest_change of the runtime."""
 
     _fields_ = [("time", ctypes.c_double), ("rests", ctypes.c_int), ("needed", ctypes.c_int)]
 
 
 class Directions(ctypes.Structure):
-    """ph_directions."""
+    """The structure ph_directions of the runtime."""
 
     _fields_ = [("n", ctypes.c_int), *((name, ctypes.c_void_p) for name in ("du", "dx", "dy", "dp", "da", "dobs"))]
 
@@ -179,14 +179,14 @@ def _built(name: str, announce: Callable[[], None] | None = None) -> Build:
 
 
 def require_runtime() -> None:
-    """CompilerMissing where there is neither a compiler nor a runtime in the package or in the cache."""
+    """Raise CompilerMissing if there is neither a compiler nor a runtime in the package or in the cache."""
     try:
         require_compiler()
     except CompilerMissing:
         runtime()
 
 
-#: by name and cache
+#: libraries by name and cache
 _BUILT: dict[tuple[str, Path], Build] = {}
 
 

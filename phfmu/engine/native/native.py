@@ -63,7 +63,7 @@ class NativeReadings(Instance):
     def __init__(self, model: EngineModel, announce: Callable[[], None] | None, kernels: Kind) -> None:
         super().__init__(model)
         self._native_model = native_model(model, kernels, announce)
-        #: how they were asked for
+        #: the form of kernels that was asked for
         self.kind: Kind = kernels
         self._tables, self._lib = self._native_model.tables, self._native_model.lib
         size = self._lib.ph_size(self._tables.pointer)
@@ -356,7 +356,7 @@ class NativeInstance(NativeReadings):
 
     @property
     def handle(self) -> Handle:
-        """For compiled code that steps the instance itself."""
+        """The addresses of the instance, for compiled code that steps it itself."""
         lib, at = self._lib, self._in
         places = lib.ph_signals(at), lib.ph_node_outputs(at)
         return Handle(

@@ -23,7 +23,7 @@ STEPS, EVENTS = 64, 128
 
 
 class LandedRows(ctypes.Structure):
-    """ph_landed."""
+    """The structure ph_landed of the runtime."""
 
     _fields_ = [
         *((n, ctypes.c_int) for n in ("steps_room", "events_room", "pause", "steps", "events", "done")),
@@ -33,7 +33,7 @@ class LandedRows(ctypes.Structure):
 
 
 class EventRefusal(ctypes.Structure):
-    """ph_event_refusal."""
+    """The structure ph_event_refusal of the runtime."""
 
     _fields_ = [
         ("reason", ctypes.c_int),
@@ -79,7 +79,7 @@ _MOVE = ctypes.CFUNCTYPE(None, ctypes.c_void_p)
 
 
 class _LentStepsStruct(ctypes.Structure):
-    """ph_lent_steps."""
+    """The structure ph_lent_steps of the runtime."""
 
     _fields_ = [("world", ctypes.c_void_p), ("step", _STEP), ("halved", _HALVED), ("inside", _INSIDE), ("save", _MOVE),
                 ("load", _MOVE)]  # fmt: skip
@@ -176,6 +176,11 @@ def _typed(lib: ctypes.CDLL) -> ctypes.CDLL:
         "ph_land_stops": (None, [pointer, pointer]),
         "ph_land_stopped": (pointer, [pointer, ctypes.POINTER(real), ctypes.POINTER(integer)]),
         "ph_land_after": (integer, [pointer, pointer]),
+        "ph_land_rates": (pointer, [pointer]),
+        "ph_happen_decide": (integer, [pointer]),
+        "ph_happen_jump": (integer, [pointer, pointer, pointer]),
+        "ph_happen_flags": (None, [pointer, pointer]),
+        "ph_happen_parameters": (pointer, [pointer]),
         "ph_land_refusal": (ctypes.POINTER(EventRefusal), [pointer]),
     }
     return typed(lib, signatures)
@@ -189,6 +194,7 @@ class NativeLanding:
             raise ValueError(f"{model.name} has no state events: use run")
         self._model, self._plan, self._lib, self._width = model, model.events, _typed(lib), width
         self._memory, self._in = placed(lib, "ph_landing", instance, events)
+        self._lent: StepCallbacks | None = None
 
     def over(self, grid: Grid, record: Iterable[str], changed: bool, check: Callable[[int], None]) -> Iterator[Landed]:
         """The steps of a grid; `check` raises the error of a status."""
@@ -208,19 +214,70 @@ class NativeLanding:
         room = self.room(1, ())
 
         def take() -> Iterator[Landed]:
-            status = self._lib.ph_land(self._in, room.request, room.out)
-            self._lent.require(status)
-            if status:
-                self.refuse(status)
-                check(status)
+            self._require(self._lib.ph_land(self._in, room.request, room.out), check)
             return room.parts()
 
         return one_by_one(room, take, pause)
+
+    def stopping(
+        self, t: float, end: float, changed: bool, pause: bool, check: Callable[[int], None]
+    ) -> Iterator[tuple[float, float]]:
+        """(start, length) of the lent steps in [t, end], (time, 0) where events happen elsewhere, who goes on by `after`.
+
+        `pause`: ends after the events of one time, if there are any.
+        """
+        self._lib.ph_land_to(self._in, t, end, int(changed))
+        room, now, count = self.room(1, ()), ctypes.c_double(), ctypes.c_int()
+        room.out.steps_room = 1
+        while not room.out.done:
+            self._require(self._lib.ph_land(self._in, room.request, room.out), check)
+            for part in room.parts():
+                yield from zip(part.t.tolist(), part.h.tolist(), strict=True)
+            if self._lib.ph_land_stopped(self._in, now, count):
+                yield now.value, 0.0
+                room.out.steps_room = 0 if pause else 1
+            elif room.out.steps_room == 0:
+                return
 
     def stop_before(self, events: NDArray[np.int8]) -> None:
         """Events with 1 (n) happen elsewhere: it ends before them."""
         self._stops = np.ascontiguousarray(events, np.int8)
         self._lib.ph_land_stops(self._in, self._stops.ctypes.data)
+
+    def decide(self, check: Callable[[int], None]) -> None:
+        """Which of the events it stopped before come to rest, and the parameters after them; EventRefused."""
+        self._require(self._lib.ph_happen_decide(self._in), check)
+
+    def jump(self, check: Callable[[int], None]) -> tuple[Floats, Floats]:
+        """`decide`, and the states jump; what the energy of each component got, and what it lost."""
+        energy, lost = np.zeros((2, self._model.step.ncomp))
+        self._require(self._lib.ph_happen_jump(self._in, energy.ctypes.data, lost.ctypes.data), check)
+        return energy, lost
+
+    @property
+    def decided(self) -> tuple[list[int], list[int], Floats]:
+        """Numbers of the events that happen, and of those that come to rest; the parameters after them (np)."""
+        flags, size = np.zeros(self._plan.n, np.int8), self._model.step.np
+        self._lib.ph_happen_flags(self._in, flags.ctypes.data)
+        p = view(self._lib.ph_happen_parameters(self._in), size).copy() if size else np.zeros(0)
+        return [*_numbers(flags > 0)], [*_numbers(flags > 1)], p
+
+    def after(self, check: Callable[[int], None]) -> None:
+        """The events it stopped before have happened."""
+        self._require(self._lib.ph_land_after(self._in, self._in), check)
+
+    @property
+    def rates(self) -> Floats:
+        """|d guard / dt| (n) where the present instant was reached, by which a guard that was landed on is zero; may be set."""
+        return view(self._lib.ph_land_rates(self._in), self._plan.n)
+
+    def _require(self, status: int, check: Callable[[int], None]) -> None:
+        """Raises what a status other than PH_OK means, or a lent step that was refused."""
+        if self._lent is not None:
+            self._lent.require(status)
+        if status:
+            self.refuse(status)
+            check(status)
 
     @property
     def address(self) -> int:
@@ -233,9 +290,7 @@ class NativeLanding:
         while not room.over:
             status = self._lib.ph_land(self._in, room.request, room.out)
             yield from room.parts()
-            if status:
-                self.refuse(status)
-                check(status)
+            self._require(status, check)
 
     def room(self, n: int, record: Iterable[str], pause: bool = False) -> LandingMemory:
         """Memory for n grid steps with their events, and some more."""

@@ -25,7 +25,7 @@ class NativeModel:
     code: Code
 
 
-#: of models whose kernels may be compiled, and of those that were asked for interpreted
+#: native models whose kernels may be compiled, and those that were asked for interpreted
 _MODELS: dict[bool, WeakKeyDictionary[EngineModel, NativeModel]] = {
     False: WeakKeyDictionary(),
     True: WeakKeyDictionary(),

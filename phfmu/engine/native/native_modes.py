@@ -28,13 +28,13 @@ MOST = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_void_p, ctypes.c_void_p, ctype
 
 
 class _Source(ctypes.Structure):
-    """ph_mode_source."""
+    """The structure ph_mode_source of the runtime."""
 
     _fields_ = [("world", ctypes.c_void_p), ("rows", ROWS), ("mode", ROWS), ("most", MOST)]
 
 
 class _Mode(ctypes.Structure):
-    """ph_mode."""
+    """The structure ph_mode of the runtime."""
 
     _fields_ = [
         *((n, ctypes.c_void_p) for n in ("rows", "instance", "landing", "fresh")),
@@ -43,7 +43,7 @@ class _Mode(ctypes.Structure):
 
 
 class _Refusal(ctypes.Structure):
-    """ph_mode_refusal."""
+    """The structure ph_mode_refusal of the runtime."""
 
     _fields_ = [
         ("reason", ctypes.c_int),

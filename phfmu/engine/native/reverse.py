@@ -30,7 +30,7 @@ Floats = NDArray[np.float64]
 
 
 class _Tape(ctypes.Structure):
-    """ph_tape."""
+    """The structure ph_tape of the runtime."""
 
     _fields_ = [
         *((n, ctypes.c_void_p) for n in ("take", "rows")),
@@ -39,7 +39,7 @@ class _Tape(ctypes.Structure):
 
 
 class _Parts(ctypes.Structure):
-    """ph_parts."""
+    """The structure ph_parts of the runtime."""
 
     _fields_ = [
         ("n", ctypes.c_int),
@@ -49,13 +49,13 @@ class _Parts(ctypes.Structure):
 
 
 class _RowBarsStruct(ctypes.Structure):
-    """ph_row_bars."""
+    """The structure ph_row_bars of the runtime."""
 
     _fields_ = [("n", ctypes.c_int), ("row", ctypes.c_void_p), ("bar", ctypes.c_void_p)]
 
 
 class _Backwards(ctypes.Structure):
-    """ph_backwards."""
+    """The structure ph_backwards of the runtime."""
 
     _fields_ = [(n, ctypes.c_void_p) for n in ("kernels", "ledgers", "schur")]
 

@@ -35,7 +35,7 @@ LOG_CATEGORIES = {
 
 
 @dataclass(frozen=True)
-class Span:
+class ArraySpan:
     """An array: its name and number of entries, which are consecutive variables."""
 
     name: str
@@ -43,7 +43,7 @@ class Span:
 
 
 @dataclass(frozen=True, eq=False)
-class Unit:
+class ExportedUnit:
     """A model to be exported, with its declaration.  `step`: longest internal and suggested communication step, s; `stop`: s.
 
     `node_inputs`: ports also have inputs and outputs at the nodes of a step, and impulses where they take some; `impulses`: the
@@ -199,14 +199,14 @@ class Unit:
         return bool(free) and bool(ca.depends_on(d.hamiltonian, ca.vertcat(*free)))
 
     @cached_property
-    def spans(self) -> dict[int, Span]:
+    def spans(self) -> dict[int, ArraySpan]:
         """Value reference of the first entry -> the array of FMI 3.0 that begins there; empty without `arrays`."""
         if not self.arrays:
             return {}
         place = {v.name: i for i, v in enumerate(self.variables)}
         ports = [p for p in self.declaration.ports if p.size is not None and not p.signal]
         groups = [g for p in ports for g in (p.input_names(), p.output_names(), p.output_names(MEAN))]
-        return {place[g[0]]: Span(g[0].rpartition("[")[0], len(g)) for g in groups if g[0] in place}
+        return {place[g[0]]: ArraySpan(g[0].rpartition("[")[0], len(g)) for g in groups if g[0] in place}
 
     def outputs(self) -> list[int]:
         """Value references of the outputs."""
@@ -229,12 +229,12 @@ def generation_tool() -> str:
 
 
 def generation_date() -> str | None:
-    """From SOURCE_DATE_EPOCH; without it there is no date, so that the same model gives the same bytes."""
+    """The date of SOURCE_DATE_EPOCH; without it there is no date, so that the same model gives the same bytes."""
     epoch = os.environ.get("SOURCE_DATE_EPOCH")
     return datetime.fromtimestamp(int(epoch), UTC).strftime("%Y-%m-%dT%H:%M:%SZ") if epoch else None
 
 
-def root(unit: Unit, fmi_version: str, token: tuple[str, str] | None) -> Element:
+def root(unit: ExportedUnit, fmi_version: str, token: tuple[str, str] | None) -> Element:
     """`fmiModelDescription`; `token`: name and value of the attribute, None leaves it and the date out."""
     element = etree.Element("fmiModelDescription", fmiVersion=fmi_version, modelName=unit.name)
     if token:
@@ -249,7 +249,7 @@ def root(unit: Unit, fmi_version: str, token: tuple[str, str] | None) -> Element
     return element
 
 
-def add_units(parent: Element, unit: Unit) -> None:
+def add_units(parent: Element, unit: ExportedUnit) -> None:
     """`UnitDefinitions` with SI exponents and factors of all units in use."""
     texts = sorted({v.unit for v in unit.variables if v.unit != "1"})
     definitions = etree.SubElement(parent, "UnitDefinitions")
@@ -279,7 +279,7 @@ def add_log_categories(parent: Element) -> None:
         etree.SubElement(categories, "Category", name=name, description=text)
 
 
-def add_experiment(parent: Element, unit: Unit) -> None:
+def add_experiment(parent: Element, unit: ExportedUnit) -> None:
     """`DefaultExperiment`: importers take the communication step from stepSize."""
     experiment = etree.SubElement(parent, "DefaultExperiment", startTime=number(unit.model.t0))
     if unit.stop is not None:
@@ -287,7 +287,7 @@ def add_experiment(parent: Element, unit: Unit) -> None:
     experiment.set("stepSize", number(unit.step))
 
 
-def build_description(unit: Unit, sources: Sequence[str]) -> bytes:
+def build_description(unit: ExportedUnit, sources: Sequence[str]) -> bytes:
     """buildDescription.xml of FMI 3.0, in all archives: how to compile `sources`, which export the standard's functions only."""
     root = etree.Element("fmiBuildDescription", fmiVersion="3.0")
     configuration = etree.SubElement(root, "BuildConfiguration", modelIdentifier=unit.identifier)

@@ -10,7 +10,7 @@ from phfmu.declare.entries.model_name import unwritable
 from phfmu.discretise.model import Model, takes_model
 from phfmu.engine.build.compile import compile, host_target, suffix
 from phfmu.fmu.export import manifest, package, sources
-from phfmu.fmu.export.description import Unit, build_description
+from phfmu.fmu.export.description import ExportedUnit, build_description
 from phfmu.fmu.export.schedule import UnitEvent, in_order
 from phfmu.fmu.export.terminals import terminals as terminals_of
 from phfmu.fmu.export.unit_modes import unit_modes
@@ -68,14 +68,16 @@ def export(
     _require_writable(model, step, tunable, node_inputs or impulses)
     model = telling_constant(model)
     set_later, inside = _scalars(model, [*tunable, *(e.name for e in events)]), in_order(model, events)
-    unit = Unit(
+    unit = ExportedUnit(
         model, step, stop, node_inputs, ledger_outputs, terminals, tuple(left_out), arrays, tuple(outward), set_later, impulses,
         inside,
     )  # fmt: skip
     return written(unit, directory, rows, platforms)
 
 
-def written(unit: Unit, directory: str | Path, rows: Sequence[Version], platforms: Sequence[str] | None) -> list[Path]:
+def written(
+    unit: ExportedUnit, directory: str | Path, rows: Sequence[Version], platforms: Sequence[str] | None
+) -> list[Path]:
     """The archives of a unit, one a version; CompilerMissing, CompileError."""
     equations = sources.generated(unit)
     token = sources.token(unit, equations)
@@ -154,7 +156,7 @@ def _libraries(code: sources.Sources, platforms: Sequence[str]) -> dict[str, byt
 
 
 def _files(
-    unit: Unit, version: Version, token: str, code: sources.Sources, libraries: dict[str, bytes]
+    unit: ExportedUnit, version: Version, token: str, code: sources.Sources, libraries: dict[str, bytes]
 ) -> dict[str, bytes]:
     """Content of the archive of one version."""
     own = sources.of_version(code, version, unit.identifier)

@@ -10,7 +10,7 @@ from typing import Any
 
 from phfmu.declare.port import Domain, Given, Port
 from phfmu.fmu import limits
-from phfmu.fmu.export.description import Unit
+from phfmu.fmu.export.description import ExportedUnit
 from phfmu.fmu.export.value_groups import JUMP
 from phfmu.fmu.words import plain
 from phfmu.fmu.xml import Element, etree, number, text_of
@@ -127,23 +127,12 @@ class PortMap:
         return self.displacement_factor * (self.sign if self.given != self.domain.summed else 1.0)
 
 
-def manifest(unit: Unit) -> bytes:
+def manifest(unit: ExportedUnit) -> bytes:
     """The document."""
     root = etree.Element("PowerPorts", nsmap={"fmi-ls": _LS})
     for name, value in (("name", LAYER), ("version", VERSION), ("description", TEXT + OUTWARD * bool(unit.outward))):
         root.set(f"{{{_LS}}}fmi-ls-{name}", value)
-    step = etree.SubElement(root, "Step", internalStepSize=number(unit.step))
-    step.set("scheme", unit.model.scheme.name)
-    step.set("order", str(unit.model.scheme.order))
-    step.set("directionalDerivative", DERIVATIVE)
-    step.set("failure", FAILURE)
-    plan = unit.model.step
-    if unit.at_nodes:
-        step.set("nodes", " ".join(number(c) for c in unit.model.nodes))
-        step.set("weights", " ".join(number(b) for b in plan.weights))
-        step.set("nodeInputs", NODES)
-        step.set("nodeDerivative", NODE_DERIVATIVE)
-    offers = _add_impulses(step, unit)
+    offers = _add_step(root, unit)
     if unit.derives_by_states:
         derivatives = etree.SubElement(root, "Derivatives", description=BY_STATES)
         for word, blocks in DERIVED.items():
@@ -154,49 +143,71 @@ def manifest(unit: Unit) -> bytes:
         etree.SubElement(root, "LeftOut", what=plain(text))
     for e in unit.events:
         etree.SubElement(root, "Event", time=number(e.t), name=e.name, value=number(e.value))
+    _add_energy(root, unit)
+    for v in unit.variables:
+        if v.block == "FMU_TUNABLE" and v.causality == "parameter":
+            etree.SubElement(root, "Tunable", name=v.name)
+    k = unit.model.step.k if unit.at_nodes else 0
+    for port in unit.declaration.ports:
+        if port.external and port.signal:
+            _add_signals(root, port, k)
+        elif port.external:
+            _add_port(root, port, k, offers.get(port.name), port.name in unit.outward)
+    return text_of(root)
+
+
+def _add_step(root: Element, unit: ExportedUnit) -> dict[str, PortImpulse]:
+    """The scheme, what derivatives and failures of a step mean, and its nodes; returns the impulses of the ports."""
+    step = etree.SubElement(root, "Step", internalStepSize=number(unit.step))
+    step.set("scheme", unit.model.scheme.name)
+    step.set("order", str(unit.model.scheme.order))
+    step.set("directionalDerivative", DERIVATIVE)
+    step.set("failure", FAILURE)
+    if unit.at_nodes:
+        step.set("nodes", " ".join(number(c) for c in unit.model.nodes))
+        step.set("weights", " ".join(number(b) for b in unit.model.step.weights))
+        step.set("nodeInputs", NODES)
+        step.set("nodeDerivative", NODE_DERIVATIVE)
+    return _add_impulses(step, unit)
+
+
+def _add_energy(root: Element, unit: ExportedUnit) -> None:
+    """Names of the energies, those of jumps where there are some, and of what is constant in H."""
     energy = etree.SubElement(root, "Energy")
     for what, _, _ in (*LEDGER, *STEP_LEDGER):
         energy.set(ENERGY.get(what, what), total(what))
     if unit.jumps or unit.lands:
         energy.set(JUMPED[0], total(JUMPED[0]))
-    if constant := [
-        v.name for v in unit.variables if v.name == total(CONSTANT) or v.name.endswith("." + total(CONSTANT))
-    ]:
+    constant = [v.name for v in unit.variables if v.name == total(CONSTANT) or v.name.endswith("." + total(CONSTANT))]
+    if constant:
         energy.set(CONSTANT, " ".join(constant))
-    for v in unit.variables:
-        if v.block == "FMU_TUNABLE" and v.causality == "parameter":
-            etree.SubElement(root, "Tunable", name=v.name)
-    for port in unit.declaration.ports:
-        if not port.external:
-            continue
-        if port.signal:
-            _add_signals(root, port, plan.k if unit.at_nodes else 0)
-            continue
-        element = etree.SubElement(root, "Port", name=port.name, given=port.given)
-        for name, attribute in DOMAIN.items():
-            element.set(name, getattr(port.domain, attribute))
-        element.set("energy", port_energy(port.name))
-        element.set("vector", "false" if port.size is None else "true")
-        if port.name in unit.outward:
-            element.set("sign", number(-1.0))
-        offer = offers.get(port.name)
+
+
+def _add_port(root: Element, port: Port, k: int, offer: PortImpulse | None, outward: bool) -> None:
+    """A power port with its domain and pairs, their names at the k nodes of a step (0: none), and its impulses."""
+    element = etree.SubElement(root, "Port", name=port.name, given=port.given)
+    for name, attribute in DOMAIN.items():
+        element.set(name, getattr(port.domain, attribute))
+    element.set("energy", port_energy(port.name))
+    element.set("vector", "false" if port.size is None else "true")
+    if outward:
+        element.set("sign", number(-1.0))
+    if offer:
+        element.set("impulse", offer.kind)
+        element.set("linear", "true" if offer.linear else "false")
+        if offer.reason:
+            element.set("why", plain(offer.reason))
+    names = zip(port.input_names(), port.output_names(), port.output_names(MEAN), strict=True)
+    for j, pair in enumerate(names):
+        about: dict[str, str] = dict(zip(("input", "output", "stepOutput"), pair, strict=True))
+        if k:
+            about["nodeInputs"] = " ".join(port.node_input_names(k)[j])
+            about["nodeOutputs"] = " ".join(port.node_output_names(k)[j])
         if offer:
-            element.set("impulse", offer.kind)
-            element.set("linear", "true" if offer.linear else "false")
-            if offer.reason:
-                element.set("why", plain(offer.reason))
-        names = zip(port.input_names(), port.output_names(), port.output_names(MEAN), strict=True)
-        for j, pair in enumerate(names):
-            about: dict[str, str] = dict(zip(("input", "output", "stepOutput"), pair, strict=True))
-            if unit.at_nodes:
-                about["nodeInputs"] = " ".join(port.node_input_names(plan.k)[j])
-                about["nodeOutputs"] = " ".join(port.node_output_names(plan.k)[j])
-            if offer:
-                about["energyStep"] = pair_energies(port)[j]
-                if offer.kind is not Impulse.NONE:
-                    about["impulses"] = " ".join(port.impulse_names()[j])
-            etree.SubElement(element, "Pair", about)
-    return text_of(root)
+            about["energyStep"] = pair_energies(port)[j]
+            if offer.kind is not Impulse.NONE:
+                about["impulses"] = " ".join(port.impulse_names()[j])
+        etree.SubElement(element, "Pair", about)
 
 
 def _add_signals(root: Element, port: Port, k: int) -> None:
@@ -210,7 +221,7 @@ def _add_signals(root: Element, port: Port, k: int) -> None:
         )
 
 
-def _add_impulses(step: Element, unit: Unit) -> dict[str, PortImpulse]:
+def _add_impulses(step: Element, unit: ExportedUnit) -> dict[str, PortImpulse]:
     """The use of impulses by the ports of a unit; empty without."""
     if unit.kernels is None:
         return {}

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from html import escape
 from pathlib import Path
 
-from phfmu.fmu.export.description import Unit, generation_tool
+from phfmu.fmu.export.description import ExportedUnit, generation_tool
 from phfmu.fmu.export.outward import summed_word
 from phfmu.fmu.words import plain
 
@@ -65,7 +65,7 @@ def _date() -> tuple[int, int, int, int, int, int]:
     return max(OLDEST, time.gmtime(int(epoch))[:6]) if epoch else OLDEST
 
 
-def documentation(unit: Unit) -> dict[str, bytes]:
+def documentation(unit: ExportedUnit) -> dict[str, bytes]:
     """documentation/: a page about the unit, and the license of the runtime."""
     return {
         "documentation/index.html": _page(unit).encode(),
@@ -73,7 +73,7 @@ def documentation(unit: Unit) -> dict[str, bytes]:
     }
 
 
-def _page(unit: Unit) -> str:
+def _page(unit: ExportedUnit) -> str:
     model, title = unit.model, escape(unit.name)
     columns = ("name", "causality", "unit", "start", "description")
     head = "".join(f"<th>{c}</th>" for c in columns)
@@ -104,7 +104,7 @@ energy, which is rounding only.</p>{_signs(unit)}{_left_out(unit)}
 """
 
 
-def _at_nodes(unit: Unit) -> str:
+def _at_nodes(unit: ExportedUnit) -> str:
     if not unit.at_nodes:
         return ""
     places = ", ".join(f"{c:.6g}" for c in unit.model.nodes)
@@ -112,7 +112,7 @@ def _at_nodes(unit: Unit) -> str:
     return f", or given at its nodes {places} (fractions of the step; what is set last counts){ends}"
 
 
-def _signs(unit: Unit) -> str:
+def _signs(unit: ExportedUnit) -> str:
     """Changes of sign between units, told for each port: a plain connection gets it wrong, with closed ledgers."""
     ports = [p for p in unit.declaration.ports if p.external and not p.signal]
     if not ports:
@@ -136,7 +136,7 @@ connection needs a unit exported with <code>--outward PORT</code>.</p>
 </ul>"""
 
 
-def _left_out(unit: Unit) -> str:
+def _left_out(unit: ExportedUnit) -> str:
     inside = "\n".join(f"<li>t = {e.t:.9g} s: {escape(e.name)} = {e.value:.9g}</li>" for e in unit.events)
     events = f"\n<p>Events in the unit, which lands on them within a communication step:</p>\n<ul>\n{inside}\n</ul>"
     events = events if unit.events else ""

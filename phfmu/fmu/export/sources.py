@@ -16,7 +16,7 @@ from phfmu.engine.build.runtime_sources import runtime_sources
 from phfmu.engine.build.tables import c_text, events_text
 from phfmu.engine.impulses import PortKernels
 from phfmu.engine.model import kernels
-from phfmu.fmu.export.description import Unit
+from phfmu.fmu.export.description import ExportedUnit
 from phfmu.fmu.export.unit_modes import ROWS, SWITCHES, UnitModes, events_symbol, model_symbol, symbols, unit_modes
 from phfmu.fmu.export.variables import value_name
 from phfmu.fmu.version import VERSIONS, Version
@@ -39,7 +39,7 @@ HAPPENED, LANDING = ("fmu_happened.c",), ("fmu_landing.c",)
 Sources = dict[str, str | Path]
 
 
-def generated(unit: Unit) -> dict[str, str]:
+def generated(unit: ExportedUnit) -> dict[str, str]:
     """kernels.c and model.c, tangents.c where there are inputs, slopes.c with derivatives by parameters, ports.c with impulses,
     guards.c with state events: nothing of the interface.
     """
@@ -60,7 +60,7 @@ def generated(unit: Unit) -> dict[str, str]:
     return made | ({"ports.c": port_text(unit.kernels)} if unit.kernels else {})
 
 
-def token(unit: Unit, equations: dict[str, str]) -> str:
+def token(unit: ExportedUnit, equations: dict[str, str]) -> str:
     """Fingerprint of equations, runtime and all descriptions, in the form of a GUID."""
     digest = hashlib.sha256()
     for name, source in sorted({**fixed(unit), **equations}.items()):
@@ -71,7 +71,7 @@ def token(unit: Unit, equations: dict[str, str]) -> str:
     return f"{{{h[:8]}-{h[8:12]}-{h[12:16]}-{h[16:20]}-{h[20:32]}}}"
 
 
-def fixed(unit: Unit) -> Sources:
+def fixed(unit: ExportedUnit) -> Sources:
     """The hand-written part of it: name -> path."""
     if drivers := unit.drivers():
         absent = (*NODES, *LANDING, *MODES[:1], *ALONG, *(() if unit.lands else HAPPENED))
@@ -87,7 +87,7 @@ def fixed(unit: Unit) -> Sources:
     return {name: path for name, path in {**runtime_sources(*parts), **_layers()}.items() if name not in absent}
 
 
-def _parts(unit: Unit) -> list[str]:
+def _parts(unit: ExportedUnit) -> list[str]:
     """Folders of the runtime that it needs."""
     return [*(["events"] if unit.lands else []), *(["modes"] if unit.changes_modes else [])]
 
@@ -96,7 +96,7 @@ def _layers() -> Sources:
     return {p.name: p for p in sorted(RUNTIME.iterdir()) if p.suffix in (".c", ".h")}
 
 
-def complete(unit: Unit, equations: dict[str, str], token: str) -> Sources:
+def complete(unit: ExportedUnit, equations: dict[str, str], token: str) -> Sources:
     """All a library with all versions is compiled from, but the headers of the standard."""
     return {**fixed(unit), **equations, "interface.c": interface_text(unit, token)}
 
@@ -151,37 +151,19 @@ def _c_number(value: float) -> str:
     return number(value) if isfinite(value) else "INFINITY" if value > 0 else "-INFINITY"
 
 
-def interface_text(unit: Unit, token: str) -> str:
+def interface_text(unit: ExportedUnit, token: str) -> str:
     """interface.c: variables, checks and names of the equations."""
-    model = unit.model
     kind, symbol, map_of = unit.about
-    place = {v.name: i for i, v in enumerate(unit.variables)}
-    rows = [f"{{{v.block}, {v.first}, {v.count}, {c_string(v.name)}, {v.sign}}}" for v in unit.variables]
-    limits = [f"{{{place[n]}, {number(CONSISTENCY * s)}}}" for n, s in unit.checks]
-    ranges = [
-        f"{{{i}, {_c_number(v.limit.min)}, {_c_number(v.limit.max)}, {int(v.limit.above)}}}"
-        for i, v in enumerate(unit.variables)
-        if v.limit is not None
-    ]
-    events = [f"{{{number(e.t)}, {place[value_name(model, e.name)]}, {number(e.value)}}}" for e in unit.events]
+    variables = [f"{{{v.block}, {v.first}, {v.count}, {c_string(v.name)}, {v.sign}}}" for v in unit.variables]
+    checks, ranges, events = _tables(unit)
     texts, initialisers = zip(*(_equations_text(*e, str(i)) for i, e in enumerate(unit.equations)), strict=True)
-    checks = f"static const fmu_check checks[] = {{\n{_list(limits)}}};\n" if limits else ""
-    if unit.spans:
-        sizes = [str(unit.spans[i].size if i in unit.spans else 1) for i in range(len(rows))]
-        checks += f"static const int sizes[] = {{\n{_list(sizes)}}};\n"
-    nodes = "    .node_memory = fmu_node_memory,\n    .node_map = fmu_node_map,\n" if unit.at_nodes else ""
-    if unit.derives_by_states:
-        nodes += "".join(f"    .{n} = fmu_{n},\n" for n in ("along_room", "along", "asks_along"))
-    include = "".join(f'#include "{name}"\n' for name in unit.headers)
-    if unit.kernels:
-        include, nodes = include + '#include "impulses.h"\n', nodes + "    .impulses = &impulses,\n"
-        checks += _impulses_text(unit.kernels)
-    if unit.lands:
-        include, nodes = include + '#include "events.h"\n', nodes + "    .landing = &landing,\n"
-        include += '#include "fmu_modes.h"\n#include "modes.h"\n' if model.modes else ""
-        checks += unit.landing or _landing_text(model)
-    checks += f"static const fmu_event events[] = {{\n{_list(events)}}};\n" if events else ""
-    checks += f"static const fmu_range ranges[] = {{\n{_list(ranges)}}};\n" if ranges else ""
+    include, nodes, tables = _optional_parts(unit)
+    arrays = "".join(
+        f"static const {of} {name}[] = {{\n{_list(rows)}}};\n"
+        for of, name, rows in (("fmu_event", "events", events), ("fmu_range", "ranges", ranges))
+        if rows
+    )
+    checked = f"static const fmu_check checks[] = {{\n{_list(checks)}}};\n" if checks else ""
     return f"""\
 /* Generated. Variables, start checks and names of the equations of {c_comment(unit.name)}. */
 #include <math.h>
@@ -191,8 +173,8 @@ def interface_text(unit: Unit, token: str) -> str:
 extern const {kind} {symbol};
 
 static const fmu_variable variables[] = {{
-{_list(rows)}}};
-{checks}{"".join(texts)}static const fmu_equations equations[] = {{
+{_list(variables)}}};
+{checked}{tables}{arrays}{"".join(texts)}static const fmu_equations equations[] = {{
 {_list(f"{{{text}}}" for text in initialisers)}}};
 
 const fmu_interface fmu_the_interface = {{
@@ -200,12 +182,12 @@ const fmu_interface fmu_the_interface = {{
     .map = {map_of},
     .of = &{symbol},
     .step = {number(unit.step)},
-    .nvariable = {len(rows)},
-    .ncheck = {len(limits)},
+    .nvariable = {len(variables)},
+    .ncheck = {len(checks)},
     .nrange = {len(ranges)},
     .variables = variables,
     .sizes = {"sizes" if unit.spans else "0"},
-    .checks = {"checks" if limits else "0"},
+    .checks = {"checks" if checks else "0"},
     .ranges = {"ranges" if ranges else "0"},
     .equations = equations,
     .jumps = {int(unit.jumps)},
@@ -213,6 +195,39 @@ const fmu_interface fmu_the_interface = {{
     .events = {"events" if events else "0"},
 {nodes}}};
 """
+
+
+def _tables(unit: ExportedUnit) -> tuple[list[str], list[str], list[str]]:
+    """Rows of the start checks, of the ranges of variables and of the events of a scene."""
+    place = {v.name: i for i, v in enumerate(unit.variables)}
+    checks = [f"{{{place[n]}, {number(CONSISTENCY * s)}}}" for n, s in unit.checks]
+    ranges = [
+        f"{{{i}, {_c_number(v.limit.min)}, {_c_number(v.limit.max)}, {int(v.limit.above)}}}"
+        for i, v in enumerate(unit.variables)
+        if v.limit is not None
+    ]
+    events = [f"{{{number(e.t)}, {place[value_name(unit.model, e.name)]}, {number(e.value)}}}" for e in unit.events]
+    return checks, ranges, events
+
+
+def _optional_parts(unit: ExportedUnit) -> tuple[str, str, str]:
+    """Headers, entries of the interface and definitions of the parts that not every unit has."""
+    include = "".join(f'#include "{name}"\n' for name in unit.headers)
+    nodes = "    .node_memory = fmu_node_memory,\n    .node_map = fmu_node_map,\n" if unit.at_nodes else ""
+    tables = ""
+    if unit.spans:
+        sizes = [str(unit.spans[i].size if i in unit.spans else 1) for i in range(len(unit.variables))]
+        tables = f"static const int sizes[] = {{\n{_list(sizes)}}};\n"
+    if unit.derives_by_states:
+        nodes += "".join(f"    .{n} = fmu_{n},\n" for n in ("along_room", "along", "asks_along"))
+    if unit.kernels:
+        include, nodes = include + '#include "impulses.h"\n', nodes + "    .impulses = &impulses,\n"
+        tables += _impulses_text(unit.kernels)
+    if unit.lands:
+        include, nodes = include + '#include "events.h"\n', nodes + "    .landing = &landing,\n"
+        include += '#include "fmu_modes.h"\n#include "modes.h"\n' if unit.model.modes else ""
+        tables += unit.landing or _landing_text(unit.model)
+    return include, nodes, tables
 
 
 def _equations_text(part: str, steps: Sequence[str], instants: Sequence[str], suffix: str) -> tuple[str, str]:

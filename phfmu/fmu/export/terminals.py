@@ -8,14 +8,14 @@ was exported outward it is an outflow, positive out of it.
 from __future__ import annotations
 
 from phfmu.declare.port import Port
-from phfmu.fmu.export.description import Unit
+from phfmu.fmu.export.description import ExportedUnit
 from phfmu.fmu.version import Version
 from phfmu.fmu.words import plain
 from phfmu.fmu.xml import Element, etree, text_of
 
 
-def terminals(unit: Unit, version: Version) -> bytes | None:
-    """Those of a unit of one FMI version: the document, or None without external ports or if it is not wanted."""
+def terminals(unit: ExportedUnit, version: Version) -> bytes | None:
+    """The document of a unit of one FMI version, or None without external ports or if it is not wanted."""
     ports = [p for p in unit.declaration.ports if p.external and not p.signal]
     if not ports or not unit.terminals:
         return None

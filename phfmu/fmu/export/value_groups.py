@@ -1,4 +1,4 @@
-"""What a unit tells beside the quantities of its model.
+"""Value groups of a unit beside the quantities of its model.
 
 Inputs of external ports at the nodes of a step and the outputs conjugate to them; impulses at its ends, what they change,
 and the energy of each pair, of ports that take some (names and order are those of `engine/impulses.py`); what is constant in H.

@@ -33,7 +33,7 @@ METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 
 
 @dataclass(frozen=True)
-class Extracted:
+class ExtractedUnit:
     """The extracted files of a unit: the folder that they are in, and the name of the library there."""
 
     path: Path
@@ -114,9 +114,9 @@ class Archive:
         return folder
 
     @property
-    def extracted(self) -> Extracted:
+    def extracted(self) -> ExtractedUnit:
         """The extracted files; this object has to live as long."""
-        return Extracted(self.path, self.folder, self.library, self.interface)
+        return ExtractedUnit(self.path, self.folder, self.library, self.interface)
 
 
 _OPEN: WeakValueDictionary[tuple[str, int, int], Archive] = WeakValueDictionary()

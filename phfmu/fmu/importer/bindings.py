@@ -30,7 +30,7 @@ _DERIVATIVES = ("GetDirectionalDerivative",)
 _SERIALISED = ("SerializedFMUStateSize", "SerializeFMUState", "DeserializeFMUState")
 
 
-class Absent:
+class MissingFunction:
     """Stands for a function that the library lacks: calling it is an FMUError with its name."""
 
     def __init__(self, unit: str, function: str):
@@ -43,7 +43,7 @@ class Absent:
         raise FMUError(f"{self.unit}: its library lacks {self.__name__}")
 
 
-class Lacking:
+class PartialBinding:
     """A binding in front of one of FMPy's, which tells in `absent` what the library lacks."""
 
     dll: Any
@@ -62,7 +62,7 @@ class Lacking:
         wanted = [n for n in dir(type(self)) if n.startswith(prefix)]
         self.absent = tuple(n for n in wanted if not hasattr(self.dll, n))
         for name in self.absent:
-            setattr(self.dll, name, Absent(self.instanceName, name))
+            setattr(self.dll, name, MissingFunction(self.instanceName, name))
         exit_guard.watch(self.dll, self.instanceName)
         super()._loadFunctions()  # pyright: ignore[reportAttributeAccessIssue]
 

@@ -90,7 +90,7 @@ def port_lines(ports: Sequence[PortMap]) -> list[str]:
 
 
 def _ports_wanted(file: UnitFile) -> list[str]:
-    """How to say which variables are ports, with those whose units make them a pair; nothing without inputs and outputs."""
+    """Advice on declaring ports, with the pairs of variables whose units make a power; empty without inputs and outputs."""
     face = file.interface
     given, told = ([v.name for v in face.variables.values() if v.causality == c] for c in ("input", "output"))
     if not given or not told:

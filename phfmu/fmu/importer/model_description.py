@@ -8,7 +8,7 @@ from itertools import product
 from math import isfinite
 from typing import IO, Any
 
-from phfmu.declare.expressions.units import BASE, Unit
+from phfmu.declare.expressions.units import BASE, PhysicalUnit
 from phfmu.fmu import limits
 from phfmu.fmu.export.manifest import read_manifest
 from phfmu.fmu.export.variables import FMUError
@@ -24,7 +24,7 @@ _KEPT = 3  # names of a kind of variables that are left out
 
 
 @dataclass
-class LeftOut:
+class OmittedVariables:
     """Variables of one kind that cannot be read or set here: how many, and the first names."""
 
     count: int = 0
@@ -49,8 +49,8 @@ class ModelDescription:
         self.cosimulation: dict[str, str] | None = None
         self.times: dict[str, float] = {}
         self.variables: dict[str, Scalar] = {}
-        self.units: dict[str, Unit] = {}
-        self.left_out: dict[str, LeftOut] = {}
+        self.units: dict[str, PhysicalUnit] = {}
+        self.left_out: dict[str, OmittedVariables] = {}
         self._counted = 0
         self._path: list[str] = []
         self._type = ""
@@ -110,7 +110,7 @@ class ModelDescription:
         exponents = tuple(self._int(attributes.get(b, "0"), self._name) for b in BASE)
         factor = self._float(attributes.get("factor", "1"), self._name)
         if not self._float(attributes.get("offset", "0"), self._name) and isfinite(factor) and factor:
-            self.units[plain(self._name)] = Unit(plain(self._name), factor, exponents)
+            self.units[plain(self._name)] = PhysicalUnit(plain(self._name), factor, exponents)
 
     def end(self, tag: str) -> None:
         if len(self._path) == 3 and self._path[1] == "ModelVariables":
@@ -207,7 +207,7 @@ class ModelDescription:
         )
 
     def _leave_out(self, kind: str, name: str) -> None:
-        self.left_out.setdefault(plain(kind, 50), LeftOut()).add(plain(name, 100))
+        self.left_out.setdefault(plain(kind, 50), OmittedVariables()).add(plain(name, 100))
         limits.within(self._about(), len(self.left_out), 100, "types of variables")
 
     # -- text -----------------------------------------------------------------------------------------------

@@ -12,7 +12,7 @@ from fmpy.fmi1 import FMICallException
 from numpy.typing import NDArray
 
 from phfmu.fmu.export.variables import FMUError
-from phfmu.fmu.importer.archive import Extracted
+from phfmu.fmu.importer.archive import ExtractedUnit
 from phfmu.fmu.importer.refusal import UnitCallError, said
 from phfmu.fmu.importer.unit_interface import Scalar
 from phfmu.fmu.importer.values import Derivative, References
@@ -62,7 +62,7 @@ class AnySlave(Protocol):
 class Slave:
     """An instance of a library.  Calls raise UnitCallError with the unit's own words."""
 
-    def __init__(self, archive: Extracted, name: str, early_return: bool = False):
+    def __init__(self, archive: ExtractedUnit, name: str, early_return: bool = False):
         about = archive.interface
         self._version = VERSIONS[about.version]
         self._names = self._version.code

@@ -137,7 +137,7 @@ class OwnBooks:
 
 
 class EstimatedBooks:
-    """By the change of displacements, whose rates the outputs are: u (q1 - q0) is what held inputs supply; else by the
+    """Books by the change of displacements, whose rates the outputs are: u (q1 - q0) is what held inputs supply; else by the
     trapezoid of the outputs under its inputs, (y(t) + y(t + h)) / 2.
 
     A unit that tells outputs which follow its inputs at once only after a step (`rollback.tells_late`) has none at the start of a

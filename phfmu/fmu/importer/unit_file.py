@@ -68,7 +68,7 @@ class UnitFile:
 
     @cached_property
     def ports(self) -> tuple[Port, ...]:
-        """As a declaration has them."""
+        """The ports in the form of a declaration."""
         return self.interface.declared_ports(self.port_maps)
 
     def port(self, name: str) -> Port:

@@ -29,7 +29,7 @@ class SavedState:
 
 
 class SavedStates:
-    """Those of one unit; the unit is freed after them."""
+    """Saved states of one unit; the unit is freed after them."""
 
     def __init__(self, slave: AnySlave):
         self._slave, self._handles = slave, dict[int, tuple[Any, float]]()

@@ -23,11 +23,11 @@ PATIENCE = 1.0
 _START = "import sys; sys.path.insert(0, sys.argv[1]); from {module} import serve; serve()"
 
 
-class Lost(Exception):
+class ProcessEnded(Exception):
     """The process is not there any more; the text says how it ended."""
 
 
-class Late(Exception):
+class AnswerTimeout(Exception):
     """There was no answer in time."""
 
 
@@ -74,16 +74,16 @@ class Child:
         try:
             write(self._process.stdin, message)
         except (OSError, ValueError):
-            raise Lost(self._end()) from None
+            raise ProcessEnded(self._end()) from None
 
     def answer(self, timeout: float) -> Any:
         """Its next answer; Late if there is none in so many s, Lost if it ended, Interrupted if a signal comes before."""
         try:
             found = self._awaited(timeout)
         except queue.Empty:
-            raise Late() from None
+            raise AnswerTimeout() from None
         if found is None:
-            raise Lost(self._end())
+            raise ProcessEnded(self._end())
         return found
 
     def _awaited(self, timeout: float) -> Any:
@@ -96,7 +96,7 @@ class Child:
         return self._answers.get(timeout=max(left, 0.0))
 
     def _end(self) -> str:
-        """How the process ended, in words."""
+        """The end of the process in words: exit code or signal."""
         try:
             code = self._process.wait(PATIENCE)
         except subprocess.TimeoutExpired:

@@ -156,7 +156,7 @@ def _exits(_: object) -> None:
 
 
 def _exits_at_once(code: int) -> None:
-    """In place of `_exit`."""
+    """The function that stands in place of `_exit`."""
     if calls():
         leave(f"ended the process in {under_way()}", "its library called _exit")
     os._exit(code)
@@ -166,7 +166,7 @@ _at_once = ctypes.CFUNCTYPE(None, ctypes.c_int)(_exits_at_once)
 
 
 def calls() -> list[Call]:
-    """Those under way: more than one where several threads make them."""
+    """Calls under way: more than one where several threads make them."""
     if current is None:
         return []
     return current() if callable(current) else [current]

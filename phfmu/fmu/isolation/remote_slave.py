@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.fmu.export.variables import FMUError
-from phfmu.fmu.importer.archive import Extracted
+from phfmu.fmu.importer.archive import ExtractedUnit
 from phfmu.fmu.importer.refusal import UnitCallError, UnitFailure
 from phfmu.fmu.importer.slave import KEPT, LONGEST, QUOTED, AnySlave, Slave
 from phfmu.fmu.importer.unit_interface import Scalar
 from phfmu.fmu.importer.values import Derivative, References
-from phfmu.fmu.isolation.child import Child, Late, Lost
+from phfmu.fmu.isolation.child import AnswerTimeout, Child, ProcessEnded
 from phfmu.fmu.isolation.unit_process import GIVEN, REFUSED
 from phfmu.fmu.version import VERSIONS
 from phfmu.fmu.words import plain
@@ -42,7 +42,7 @@ class RemoteSlave:
     What the library prints is passed on to stderr, with the name of the unit.
     """
 
-    def __init__(self, archive: Extracted, name: str, early_return: bool, timeout: float):
+    def __init__(self, archive: ExtractedUnit, name: str, early_return: bool, timeout: float):
         self.name, self.early_return, self.timeout = name, early_return, timeout
         self.words: deque[str] = deque(maxlen=KEPT)
         self.dead = False
@@ -79,16 +79,16 @@ class RemoteSlave:
             raise UnitCallError(self.name, function, "fatal", ["it met a fatal error before"])
         try:
             self._child.tell(message)
-        except Lost as lost:
+        except ProcessEnded as lost:
             raise self._lost(f"{function}: {lost}", "gone") from None
         return self._received(function, self.timeout)
 
     def _received(self, function: str, timeout: float) -> Any:
         try:
             found = self._child.answer(timeout)
-        except Late:
+        except AnswerTimeout:
             raise self._lost(f"{function}: no answer in {timeout:g} s", "hang") from None
-        except Lost as lost:
+        except ProcessEnded as lost:
             raise self._lost(f"{function}: {lost}", "gone") from None
         except KeyboardInterrupt:  # its answer would be taken for that of the next call
             self.dead = True
@@ -186,6 +186,6 @@ class RemoteSlave:
         self._child.close()
 
 
-def slave_of(unit: Extracted, name: str, early_return: bool, isolate: float | None) -> AnySlave:
-    """In this process, or in one of its own, where a call may take `isolate` s."""
+def slave_of(unit: ExtractedUnit, name: str, early_return: bool, isolate: float | None) -> AnySlave:
+    """A slave in this process, or in one of its own, where a call may take `isolate` s."""
     return Slave(unit, name, early_return) if isolate is None else RemoteSlave(unit, name, early_return, isolate)

@@ -36,11 +36,11 @@ class Server:
     """A unit, and by number the groups of variables and the states that were named before."""
 
     def __init__(self, path: str, folder: str, library: str, name: str, early_return: bool):
-        from phfmu.fmu.importer.archive import Extracted, open_archive
+        from phfmu.fmu.importer.archive import ExtractedUnit, open_archive
         from phfmu.fmu.importer.slave import Slave
 
         self.interface = open_archive(path).interface
-        self.slave = Slave(Extracted(Path(path), Path(folder), library, self.interface), name, early_return)
+        self.slave = Slave(ExtractedUnit(Path(path), Path(folder), library, self.interface), name, early_return)
         self.groups: list[Any] = []
         self.states: dict[int, Any] = {}
         self._number = 0

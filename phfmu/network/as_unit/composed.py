@@ -19,7 +19,7 @@ from phfmu.discretise.within import polynomial_of
 from phfmu.engine.build.codegen import kernel_table
 from phfmu.engine.build.tables import array_text, c_text, events_text
 from phfmu.engine.model import kernels
-from phfmu.events.roots import fit
+from  import fit
 from phfmu.fmu.export.unit_modes import ROWS, SWITCHES, UnitModes, events_symbol, model_symbol, unit_modes
 from phfmu.fmu.words import c_string
 from phfmu.fmu.xml import number

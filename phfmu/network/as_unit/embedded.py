@@ -184,7 +184,7 @@ class EmbeddedUnit:
         return self._quantity(v, causality, "tunable" if late else "parameter", i, self._start(v))
 
     def _inputs(self, joined: frozenset[str]) -> Iterator[Quantity]:
-        """Those of ports, where they count in the units of the domain: of others that are joined nothing is told."""
+        """Inputs of ports that count in the units of the domain: of others that are joined nothing is told."""
         first, begin = 0, self.unit.start_inputs()
         for p in self.unit.ports:
             for i, name in enumerate(p.inputs, first):

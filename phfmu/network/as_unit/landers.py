@@ -5,12 +5,12 @@ The model takes no steps.  A single member with events is that model itself.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from phfmu.discretise.model import Model, build_model
+from phfmu.discretise.model import Model
 from phfmu.engine.build.codegen import kernel_table
 from phfmu.engine.build.tables import array_text, c_text, events_text
 from phfmu.engine.model import kernels
@@ -18,11 +18,10 @@ from phfmu.events.event_plan import EventPlan
 from phfmu.fmu.words import c_string
 from phfmu.network.as_unit.composed import not_composed
 from phfmu.network.couplings.coupled import Coupled
+from phfmu.network.couplings.landing.side_by_side import side_by_side, without_inputs
 from phfmu.network.couplings.newton import Newton
 from phfmu.network.couplings.unconverged import plain
 from phfmu.network.members.engine_member import EngineMember
-from phfmu.network.network import Network
-from phfmu.schemes.collocated import Collocated
 
 #: functions of `ph_lander`
 _FUNCTIONS = ("make", "release", "land", "state_size", "save", "load", "fault", "refusal")
@@ -30,7 +29,7 @@ _FUNCTIONS = ("make", "release", "land", "state_size", "save", "load", "fault", 
 
 @dataclass(frozen=True, eq=False)
 class Landers:
-    """`models`: of the members with events, in their order;  members: their numbers;  names: theirs;  size: of the network."""
+    """Models of the members with events, in their order;  members: their numbers;  names: theirs;  size: of the network."""
 
     models: tuple[Model, ...]
     members: tuple[int, ...]
@@ -40,12 +39,7 @@ class Landers:
     @cached_property
     def model(self) -> Model:
         """The states, parameters and events of the members side by side."""
-        if len(self.models) == 1:
-            return self.models[0]
-        net = Network("landing")
-        for name, m in zip(self.names, self.models, strict=True):
-            net.add(name, m.declaration)
-        return build_model(net.compose(), Collocated(self.models[0].step.k))
+        return side_by_side(dict(zip(self.names, self.models, strict=True)))
 
     def plan(self, i: int) -> EventPlan:
         """The events of member number i; rates that read inputs, which others give, are not known."""
@@ -88,16 +82,6 @@ class Landers:
             f"static const ph_lander lander = {{.model = &ph_member{n}, .events = &ph_guards{n}, .names = landing_names, "
             f".n = {len(self.members)}, .members = landing_members, .own = landing_own{functions}}};\n"
         )
-
-
-def without_inputs(model: Model) -> EventPlan:
-    """The events of a model without rates of guards that read inputs."""
-    plan = model.events
-    assert plan is not None
-    reading = [i for g in plan.rates if g.yi.shape[1] for i in g.oi.ravel().tolist()]
-    rated = plan.rated.copy()
-    rated[reading] = 0
-    return replace(plan, rated=rated, rates=tuple(g for g in plan.rates if not g.yi.shape[1]))
 
 
 def not_landed(whole: Coupled) -> str:

@@ -20,7 +20,7 @@ from phfmu.declare.phdae import PHDAE
 from phfmu.discretise.model import Model
 from phfmu.engine.build.runtime_sources import driver_sources
 from phfmu.engine.native.native import NativeInstance
-from phfmu.fmu.export.description import Unit
+from phfmu.fmu.export.description import ExportedUnit
 from phfmu.fmu.export.outward import require_ports, turned
 from phfmu.fmu.export.schedule import fed_inside
 from phfmu.fmu.export.variables import FMUError, FMUVariable, listed
@@ -79,10 +79,10 @@ _TOTALS = {total(name) for name, _, _ in (*LEDGER, *STEP_LEDGER)}
 
 
 @dataclass(frozen=True, eq=False)
-class NetworkUnit(Unit):
-    """`whole`: the members and their coupling; `models`: of the members, in their order, or what stands for a unit inside.
+class NetworkUnit(ExportedUnit):
+    """A network as a unit; `whole`: members and coupling; `models`: of the members, in their order, or of units inside.
 
-    `model` is what is said of the whole where a unit of one model says it of that.  FMUError for what no unit can be.
+    `model` is what is said of the whole where a unit of one model says it of that.  Raises FMUError for what no unit can be.
     """
 
     whole: Coupled = None  # type: ignore[assignment]
@@ -291,7 +291,7 @@ class NetworkUnit(Unit):
             yield from self._happened()
 
     def _of_member(self, name: str, model: Model | EmbeddedUnit, first: dict[str, int]) -> Iterator[Quantity]:
-        """Those of a member, `first`: where its entries of each block begin; what junctions and signals feed cannot be set."""
+        """Quantities of a member; `first`: its first entry of each block; what junctions and signals feed cannot be set."""
         network = self.whole.joined.network
         ends = {e.port for j in network.junctions for e in j.ends if e.member == name}
         ends |= {w.input.partition("[")[0] for w in network.wires if w.target == name}
@@ -375,7 +375,7 @@ class NetworkUnit(Unit):
 def network_unit(
     network: Network, coupling: NamedCoupling, whole: Coupled, models: Sequence[Model | EmbeddedUnit], **options: Any
 ) -> NetworkUnit:
-    """The unit of a network whose members are coupled as in `whole`; `options`: of `Unit`."""
+    """The unit of a network whose members are coupled as in `whole`; `options`: of `ExportedUnit`."""
     joined = {e for j in network.junctions for e in j.ends}
     ports = [
         replace(p, name=of_member(name, p.name), start=p.start)

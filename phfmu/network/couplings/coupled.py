@@ -215,7 +215,7 @@ class Coupled:
 
     @property
     def free_inputs(self) -> dict[str, tuple[int, float]]:
-        """Those of ports, which may follow data: places among the inputs of all members, and signs."""
+        """Free inputs of ports, which may follow data: places among the inputs of all members, and signs."""
         places = self.joined.input_places()
         return {n: places[n] for n in self.inputs() if n in places}
 
@@ -382,7 +382,7 @@ class Coupled:
         return steps, found
 
     def _taken(self, last: Solution, t: float, h: float) -> tuple[Steps, Solution]:
-        """The same; in halves where it does not converge and that was asked for."""
+        """A step that goes on from `last`; in halves where it does not converge and that was asked for."""
         self._sums.find(last.xi)
         if not isinstance(self.coupling, HalvingPolicy):
             return self._one(last, t, h)

@@ -92,7 +92,7 @@ class Monolithic:
         return dict(zip(self._inputs.inputs, self._inputs.u.tolist(), strict=True)) | self._inputs.signals()
 
     def notes(self) -> list[str]:
-        """It has nothing to add."""
+        """No lines about the run: a composed model has none."""
         return []
 
     def hashed(self) -> dict[str, dict[str, float]]:

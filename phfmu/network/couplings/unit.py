@@ -52,16 +52,16 @@ class FMUStepper:
 
     @property
     def unwritten(self) -> list[str]:
-        """Itself, if its state cannot be written to a file, and why."""
+        """Name of the unit with the reason, if its state cannot be written to a file."""
         return [self.member.unwritten] if self.member.unwritten else []
 
     @property
     def lands(self) -> bool:
-        """It does that inside its steps."""
+        """A unit ends no step on a zero of a guard: it handles events inside its steps."""
         return False
 
     def notes(self) -> list[str]:
-        """It has nothing to add."""
+        """No lines about the run: a unit has none."""
         return []
 
     def hashed(self) -> dict[str, dict[str, float]]:
@@ -70,12 +70,12 @@ class FMUStepper:
 
     @property
     def junctions(self) -> Array:
-        """It has none that it tells of."""
+        """No junction unknowns: a unit tells none."""
         return np.zeros(0)
 
     @property
     def modes(self) -> tuple[int, ...]:
-        """Its switches are its own."""
+        """No modes: switches of a unit are its own."""
         return ()
 
     def settable(self) -> list[str]:

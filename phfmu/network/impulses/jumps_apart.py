@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from phfmu.engine.landing.event_jump import Guards
+from phfmu.engine.event_jump import JumpColumns
 from phfmu.engine.reference.python import PythonInstance
 from phfmu.network.interface.coupled_members import CoupledMembers
 from phfmu.network.interface.junction_values import JunctionValues
@@ -66,7 +66,7 @@ def _moving(model: Any, held: Any) -> set[int]:
     instance, jump = PythonInstance(model), model.events.jump
     t, x = instance.time, instance.x.copy()
     y = instance.signal("y_end")[: len(held)].copy()
-    L = Guards(model.events).columns(np.append(x, t), instance.parameters).L
+    L = JumpColumns(model.events).at(np.append(x, t), instance.parameters).L
     found = set[int]()
     for i in np.flatnonzero(jump.of >= 0):
         moved = x.copy()

@@ -41,7 +41,7 @@ class BareColumns:
 
 
 def bare(network: Network, face: Interface, inputs: Sequence[slice], offers: Sequence[Offer | None]) -> BareColumns:
-    """`inputs`: where those of each member are among all."""
+    """Bare columns of a network, with impulses or without; `inputs`: places of the inputs of each member among all."""
     by_name = {o.name: o for o in offers if o is not None}
     refused: dict[str, str] = {}
     columns: list[int] = []
@@ -110,7 +110,7 @@ def _part(S: csr_array, part: Ints) -> Array:
 
 
 class Clusters:
-    """`reached`: the bare columns of each member with impulses, numbers below n; `of`: the columns of each cluster."""
+    """Clusters of n bare columns; `reached`: those of each member with impulses; `of`: the columns of each cluster."""
 
     def __init__(self, reached: Sequence[Ints], n: int):
         pairs = [r for r in reached if len(r)]

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, NoReturn, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.engine.landing.event_jump import Laws, struck
+from phfmu.engine.event_jump import Laws, struck
 from phfmu.engine.port_jumps import JumpKernel
 from phfmu.events.event_plan import EventPlan
 from phfmu.events.impulse import ImpulseColumns
@@ -42,13 +42,13 @@ class FiredEvents:
 
     @property
     def jumping(self) -> list[int]:
-        """Those that jump."""
+        """Events of them that jump."""
         jump = self.plan.jump
         return [] if jump is None else [e for e in self.events if jump.of[e] >= 0]
 
     @property
     def jumps(self) -> list[int]:
-        """Their numbers among the jumps of the model."""
+        """Numbers of these among the jumps of the model."""
         jump = self.plan.jump
         return [] if jump is None else jump.of[self.jumping].tolist()
 
@@ -110,7 +110,7 @@ class UnitParty:
         self._member.shift(s, 0.0)
 
     def place(self, t: float) -> None:
-        """It is there."""
+        """Nothing: a unit moves its states itself."""
 
 
 @dataclass(frozen=True)

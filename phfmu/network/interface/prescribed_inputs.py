@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 
 
 class PrescribedInputs:
-    """`data`: functions of time of inputs in `free`, by name the place among the inputs of all members, and the factor."""
+    """Inputs that follow `data`, functions of time; `free`: by name the place among the inputs of all members, and the factor."""
 
     def __init__(self, data: Interpolant, free: Mapping[str, tuple[int, float]]):
         self.data = data

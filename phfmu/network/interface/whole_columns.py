@@ -39,7 +39,7 @@ class ColumnSection(IntEnum):
 
 
 class WholeColumns:
-    """`names` of the columns of the whole: those of `own`, rows of which are given, and their sums over all members."""
+    """Columns of the whole, by their `names`: those of `own`, rows of which are given, and their sums over all members."""
 
     def __init__(self, network: Network, members: Sequence[str], own: Sequence[str]):
         place = {n: i for i, n in enumerate(own)}

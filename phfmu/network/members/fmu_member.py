@@ -25,7 +25,7 @@ from phfmu.words import counted
 
 
 class UnitEventTexts:
-    """Changes of `energy.events` and `events.*` over a step; nothing of units without them.  `found`: of the last step."""
+    """State events of a unit in words, from changes of `energy.events` and `events.*`; `found`: those of the last step."""
 
     def __init__(self, unit: FMUInstance, name: str):
         known = () if unit.estimated else unit.interface.variables
@@ -124,7 +124,7 @@ class FMUMember:
         self._moved = False
         more = np.ones(self.nu - unit.nu)
         self.input_sign = np.append(unit.input_sign, more)
-        self._happened = UnitEventTexts(unit, name)
+        self._event_texts = UnitEventTexts(unit, name)
         self.nominal = np.append(
             np.abs(unit.input_sign) * np.array([unit.variable(n).nominal for n in unit.inputs]), more
         )
@@ -268,9 +268,9 @@ class FMUMember:
         self._require_length(t, h)
         self._taken = t, h
         before = self.unit.get_state() if self.unit.early_return else None
-        self._happened.begin()
+        self._event_texts.begin()
         reached = self.unit.do_step(t, h)
-        self._happened.end(reached)
+        self._event_texts.end(reached)
         if before is not None and reached < t + h:
             self.unit.set_state(before)
             words = [f"last successful time {reached:.9g} s"]
@@ -351,10 +351,10 @@ class FMUMember:
     @property
     def events_told(self) -> UnitEventTexts:
         """Events within steps, as the unit tells them."""
-        return self._happened
+        return self._event_texts
 
     def happened(self) -> list[StepEvent]:
-        return self._happened.found
+        return self._event_texts.found
 
     def energies(self) -> Array:
         return self.unit.energies()

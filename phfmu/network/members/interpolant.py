@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 
 class Interpolant:
-    """`values` (rows x names) at `time`, which does not decrease, as functions of time; `kind`: linear or cubic."""
+    """Functions of time through `values` (rows x names) at `time`, which does not decrease; `kind`: linear or cubic."""
 
     def __init__(self, names: Sequence[str], time: Array, values: Array, kind: str):
         self.names, self.kind = list(names), kind

@@ -48,8 +48,12 @@ REPEAT_MODES = (RepeatMode(True), RepeatMode(False), RepeatMode(False, once_more
 
 @dataclass(frozen=True)
 class Rollback:
-    """`works`: the couplings that repeat steps may do so, in this `way`; `words`: what is wrong, or not as it should be; else
-    empty.  `late`: what `tells_late` said.  `repeated`: the relative difference that steps taken again may have, 0: rounding.
+    """Rollback of a unit to the start of a step, as it was tried.
+
+    works:  whether couplings that repeat steps may do so, in this `way`
+    words:  what is wrong, or not as it should be; else empty
+    late:   what `tells_late` said
+    repeated: relative difference that steps taken again may have, 0: rounding
     """
 
     works: bool
@@ -154,7 +158,7 @@ class _RepeatedSteps:
         return np.concatenate([self._unit.get(self._told), self._unit.output()])
 
     def accept(self, k: int, inputs: Array) -> Array:
-        """`take`; where the way is to take it once more, so."""
+        """Take a step, once more where the mode asks for that."""
         found = self.take(k, inputs)
         if not self._way.once_more:
             return found

@@ -6,7 +6,7 @@ from collections import Counter, deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from phfmu.report.page.flows import JUNCTION, MEMBER, Node, Passed
+from phfmu.report.page.flows import JUNCTION, MEMBER, Node, PortEnergy
 from phfmu.report.page.svg import LINE, OUTSIDE, head, picture, text, width_of
 from phfmu.report.picture.prefix import engineering
 
@@ -20,16 +20,16 @@ NAMED, BESIDE = 34, 30
 
 
 @dataclass
-class _Place:
+class _DiagramNode:
     """A node: its middle, size, and the ports that end at its left and right side and above it."""
 
     node: Node
     layer: int
     x: float = 0.0
     y: float = 0.0
-    left: list[Passed] = field(default_factory=list)
-    right: list[Passed] = field(default_factory=list)
-    above: list[Passed] = field(default_factory=list)
+    left: list[PortEnergy] = field(default_factory=list)
+    right: list[PortEnergy] = field(default_factory=list)
+    above: list[PortEnergy] = field(default_factory=list)
 
     @property
     def width(self) -> float:
@@ -44,7 +44,7 @@ class _Place:
         """Pixels above its middle that belong to it."""
         return self.height / 2 + (ARROW + 34 if self.above else 0) + 8
 
-    def end(self, p: Passed) -> tuple[float, float]:
+    def end(self, p: PortEnergy) -> tuple[float, float]:
         """The point of this node at which a port ends."""
         side = self.left if p in self.left else self.right
         y = self.y + END * (side.index(p) - (len(side) - 1) / 2)
@@ -52,11 +52,11 @@ class _Place:
 
 
 @dataclass
-class _Row:
+class _DiagramRow:
     """Parts of a network side by side: nodes with their layers; `marks`: what stands beside a bar that is in two rows."""
 
     parts: Sequence[dict[Node, int]]
-    ports: Sequence[Passed]
+    ports: Sequence[PortEnergy]
     marks: Mapping[Node, str] = field(default_factory=dict[Node, str])
 
 
@@ -65,7 +65,7 @@ def _width_of(node: Node, above: int) -> float:
     return BAR if node.kind == JUNCTION else max(BOX, PORT * above + 10, 7.6 * len(node.name) + 20)
 
 
-def one_line(members: Sequence[str], ports: Sequence[Passed], below: Mapping[str, str]) -> str:
+def one_line(members: Sequence[str], ports: Sequence[PortEnergy], below: Mapping[str, str]) -> str:
     """The SVG; `below` is a text under a member's name. Empty for members without ports."""
     if not ports:
         return ""
@@ -82,7 +82,7 @@ def one_line(members: Sequence[str], ports: Sequence[Passed], below: Mapping[str
     return picture(width, height, min(width, READABLE), 11, "".join(parts))
 
 
-def _layers(members: Sequence[str], ports: Sequence[Passed]) -> list[dict[Node, int]]:
+def _layers(members: Sequence[str], ports: Sequence[PortEnergy]) -> list[dict[Node, int]]:
     """Distance of each node from an end of its part of the network; the end that takes most from outside stands left."""
     near: dict[Node, list[Node]] = {Node(MEMBER, m): [] for m in members}
     outside: dict[Node, float] = {}
@@ -116,11 +116,11 @@ def _distances(start: Node, near: Mapping[Node, list[Node]]) -> dict[Node, int]:
     return found
 
 
-def _rows(parts: Sequence[dict[Node, int]], ports: Sequence[Passed]) -> Iterator[_Row]:
+def _rows(parts: Sequence[dict[Node, int]], ports: Sequence[PortEnergy]) -> Iterator[_DiagramRow]:
     """Parts that fit the page as one row; a wider one goes on below at its junctions, which stand in both rows."""
     fitting = [part for part in parts if _wide(part, ports, max(part.values(), default=0)) <= PAGE]
     if fitting:
-        yield _Row(fitting, _within(ports, set().union(*fitting)))
+        yield _DiagramRow(fitting, _within(ports, set().union(*fitting)))
     for part in parts:
         if part in fitting:
             continue
@@ -130,11 +130,11 @@ def _rows(parts: Sequence[dict[Node, int]], ports: Sequence[Passed]) -> Iterator
             row = {n: k - first for n, k in part.items() if first <= k <= end}
             marks = {n: "goes on below" for n, k in part.items() if k == end < last}
             marks |= {n: "from above" for n, k in part.items() if k == first and first}
-            yield _Row([row], _within(ports, set(row)), marks)
+            yield _DiagramRow([row], _within(ports, set(row)), marks)
             first = end if end < last else last + 1
 
 
-def _end(part: Mapping[Node, int], ports: Sequence[Passed], first: int, last: int) -> int:
+def _end(part: Mapping[Node, int], ports: Sequence[PortEnergy], first: int, last: int) -> int:
     """The last layer of a row that begins with the layer `first`: a layer of junctions, unless all fits."""
     bars = sorted({k for n, k in part.items() if n.kind == JUNCTION and first < k < last})
     for k in (last, *reversed(bars)):
@@ -143,7 +143,7 @@ def _end(part: Mapping[Node, int], ports: Sequence[Passed], first: int, last: in
     return bars[0] if bars else last
 
 
-def _wide(part: Mapping[Node, int], ports: Sequence[Passed], last: int, first: int = 0) -> float:
+def _wide(part: Mapping[Node, int], ports: Sequence[PortEnergy], last: int, first: int = 0) -> float:
     """Pixels of the layers from first to last."""
     outside = Counter(p.component for p in ports if not p.junction)
     widths = dict.fromkeys(range(first, last + 1), 0.0)
@@ -153,14 +153,14 @@ def _wide(part: Mapping[Node, int], ports: Sequence[Passed], last: int, first: i
     return sum(widths.values()) + GAP * (len(widths) - 1)
 
 
-def _within(ports: Sequence[Passed], nodes: set[Node]) -> list[Passed]:
+def _within(ports: Sequence[PortEnergy], nodes: set[Node]) -> list[PortEnergy]:
     """Ports between nodes of a row, and of its members to the outside."""
     ends = [(p, Node(MEMBER, p.component), Node(JUNCTION, p.junction)) for p in ports]
     return [p for p, member, bar in ends if member in nodes and (not p.junction or bar in nodes)]
 
 
-def _placed(row: _Row, top: float) -> dict[Node, _Place]:
-    places = {node: _Place(node, layer) for part in row.parts for node, layer in part.items()}
+def _placed(row: _DiagramRow, top: float) -> dict[Node, _DiagramNode]:
+    places = {node: _DiagramNode(node, layer) for part in row.parts for node, layer in part.items()}
     for p in row.ports:
         member = places[Node(MEMBER, p.component)]
         if not p.junction:
@@ -180,9 +180,9 @@ def _placed(row: _Row, top: float) -> dict[Node, _Place]:
     return places
 
 
-def _stacked(part: Sequence[_Place], top: float) -> float:
+def _stacked(part: Sequence[_DiagramNode], top: float) -> float:
     """Put the nodes of each layer below each other, near those of the layer before, about one line; the lower end of all."""
-    layers: dict[int, list[_Place]] = {}
+    layers: dict[int, list[_DiagramNode]] = {}
     for place in part:
         layers.setdefault(place.layer, []).append(place)
     for k, nodes in sorted(layers.items()):
@@ -201,7 +201,7 @@ def _stacked(part: Sequence[_Place], top: float) -> float:
     return max(n.y + n.height / 2 for n in part) + 30
 
 
-def _spread(places: Mapping[Node, _Place], left: float) -> None:
+def _spread(places: Mapping[Node, _DiagramNode], left: float) -> None:
     """Layers side by side from `left` on, as wide as their widest node."""
     for k in range(max(p.layer for p in places.values()) + 1):
         nodes = [p for p in places.values() if p.layer == k]
@@ -211,7 +211,7 @@ def _spread(places: Mapping[Node, _Place], left: float) -> None:
         left += wide + GAP
 
 
-def _other(places: Mapping[Node, _Place], p: Passed, here: _Place) -> _Place:
+def _other(places: Mapping[Node, _DiagramNode], p: PortEnergy, here: _DiagramNode) -> _DiagramNode:
     kinds = (JUNCTION, p.junction) if here.node.kind == MEMBER else (MEMBER, p.component)
     return places[Node(*kinds)]
 
@@ -220,7 +220,7 @@ def _mean(values: Sequence[float]) -> float:
     return sum(values) / len(values) if values else 0.0
 
 
-def _edge(places: Mapping[Node, _Place], p: Passed, largest: float) -> Iterator[str]:
+def _edge(places: Mapping[Node, _DiagramNode], p: PortEnergy, largest: float) -> Iterator[str]:
     """A line from bar to member with its name and energy, and a head in the direction in which the energy went."""
     bar, member = places[Node(JUNCTION, p.junction)], places[Node(MEMBER, p.component)]
     (x0, y0), (x1, y1) = bar.end(p), member.end(p)
@@ -237,7 +237,7 @@ def _edge(places: Mapping[Node, _Place], p: Passed, largest: float) -> Iterator[
     yield text(x1 + shift, y1 - w / 2 - 4, f"{p.port} {engineering(abs(p.energy), 'J')}", anchor)
 
 
-def _box(place: _Place, below: Mapping[str, str], largest: float) -> Iterator[str]:
+def _box(place: _DiagramNode, below: Mapping[str, str], largest: float) -> Iterator[str]:
     name, x, y = place.node.name, place.x, place.y
     for i, p in enumerate(place.above):
         at, w = x + PORT * (i - (len(place.above) - 1) / 2) - 18, width_of(p.energy, largest, WIDEST)
@@ -260,7 +260,7 @@ def _box(place: _Place, below: Mapping[str, str], largest: float) -> Iterator[st
         yield text(x, y + 13, words, "middle", "fill='#555' font-size='10'")
 
 
-def _bar(place: _Place, mark: str) -> Iterator[str]:
+def _bar(place: _DiagramNode, mark: str) -> Iterator[str]:
     x, y, high = place.x, place.y, place.height + 14
     yield f'<rect x="{x - BAR / 2:.1f}" y="{y - high / 2:.1f}" width="{BAR}" height="{high:.1f}" fill="#222"/>'
     yield text(x, y + high / 2 + 14, place.node.name, "middle", "font-weight='600'")

@@ -43,7 +43,7 @@ class Link:
 
 
 @dataclass(frozen=True)
-class Book:
+class ComponentEnergies:
     """Energies of a component over a window in joule; None: the log has no such column for it."""
 
     component: str
@@ -56,7 +56,7 @@ class Book:
 
 
 @dataclass(frozen=True)
-class Passed:
+class PortEnergy:
     """Energy in joule that a port (all its pairs) supplied to its component; `junction` "" for one to the outside."""
 
     component: str
@@ -65,7 +65,7 @@ class Passed:
     energy: float
 
 
-def books(history: History) -> list[Book]:
+def component_energies(history: History) -> list[ComponentEnergies]:
     """The sums of each component. All are exactly rounded, the residual too: it is no difference of rounded sums."""
     of: dict[str, list[Columns]] = {}
     jumps: dict[str, list[Columns]] = {}
@@ -80,7 +80,7 @@ def books(history: History) -> list[Book]:
         used = [_there(c, column) for column in ("dH", "dissipated", "numerical")]
         stored, dissipated, numerical = (math.fsum(x) if len(x) else None for x in used)
         found.append(
-            Book(
+            ComponentEnergies(
                 name, stored or 0.0, dissipated, numerical, _fsum(supplied), _fsum(changed) if any(map(len, changed)) else None,
                 _fsum([*used, *(-x for x in supplied)]),
             )
@@ -88,10 +88,10 @@ def books(history: History) -> list[Book]:
     return found
 
 
-def ports(history: History) -> list[Passed]:
+def ports(history: History) -> list[PortEnergy]:
     """Energies of the ports over the window, exactly rounded."""
     found = ((key, _fsum([_there(c, "supplied")])) for key, c in history.ports.items())
-    return [Passed(component, port, junction, energy) for (component, port, junction), energy in found]
+    return [PortEnergy(component, port, junction, energy) for (component, port, junction), energy in found]
 
 
 def created(history: History) -> dict[str, float]:
@@ -104,30 +104,21 @@ def created(history: History) -> dict[str, float]:
 
 
 def links(history: History) -> list[Link]:
-    """All that flowed in a window; energies that are zero are no links."""
-    accounts = books(history)
+    """Links of all energies that flowed in a window; energies that are zero are no links."""
+    accounts = component_energies(history)
     found = [*_through_ports(ports(history), {b.component for b in accounts}), *_in_members(accounts)]
     found += [_link(Node(JUNCTION, name), CREATED, "junctions", -energy) for name, energy in created(history).items()]
     return [link for link in found if link.energy > 0.0]
 
 
-def imbalance(found: Sequence[Link], node: Node) -> float:
-    """Energy that a node takes less what it gives."""
-    return math.fsum(
-        link.energy * ((link.target == node) - (link.source == node))
-        for link in found
-        if node in (link.source, link.target)
-    )
-
-
-def _through_ports(passed: Sequence[Passed], named: set[str]) -> Iterator[Link]:
+def _through_ports(passed: Sequence[PortEnergy], named: set[str]) -> Iterator[Link]:
     for p in passed:
         member = Node(MEMBER, p.component) if p.component in named else Node(PORT, p.component)
         other = Node(JUNCTION, p.junction) if p.junction else Node(PORT, f"{p.component}.{p.port}")
         yield Link(other, member, p.energy) if p.energy > 0.0 else Link(member, other, -p.energy)
 
 
-def _in_members(accounts: Sequence[Book]) -> Iterator[Link]:
+def _in_members(accounts: Sequence[ComponentEnergies]) -> Iterator[Link]:
     for b in accounts:
         member, events = Node(MEMBER, b.component), b.events or 0.0
         yield _link(member, STORE, "stored", b.stored + events)

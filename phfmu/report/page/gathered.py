@@ -4,13 +4,13 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 
-from phfmu.report.page.flows import JUNCTION, MEMBER, PORT, Link, Node, Passed
+from phfmu.report.page.flows import JUNCTION, MEMBER, PORT, Link, Node, PortEnergy
 
 #: members up to which all are drawn, and those that are drawn of more
 ALL, MOST = 24, 12
 
 
-def others(members: Sequence[str], passed: Sequence[Passed]) -> frozenset[str]:
+def others(members: Sequence[str], passed: Sequence[PortEnergy]) -> frozenset[str]:
     """Members that are drawn as one: all but those with the largest energies through their ports."""
     if len(members) <= ALL:
         return frozenset()
@@ -20,13 +20,13 @@ def others(members: Sequence[str], passed: Sequence[Passed]) -> frozenset[str]:
     return frozenset(sorted(through, key=lambda m: -through[m])[MOST:])
 
 
-def gathered_ports(passed: Sequence[Passed], gone: frozenset[str]) -> list[Passed]:
+def gathered_ports(passed: Sequence[PortEnergy], gone: frozenset[str]) -> list[PortEnergy]:
     """Ports with those of `gone` as ports of one member, behind one junction where no two of the drawn ones meet."""
     if not gone:
         return list(passed)
     kept, one = _kept(passed, gone), "others"
     edge = {p.junction for p in passed if p.component not in gone and p.junction} - kept
-    found, sums = list[Passed](), dict[tuple[str, str, str], list[float]]()
+    found, sums = list[PortEnergy](), dict[tuple[str, str, str], list[float]]()
     for p in passed:
         junction = one if p.junction in edge else p.junction
         if p.component not in gone and junction != one:
@@ -35,16 +35,16 @@ def gathered_ports(passed: Sequence[Passed], gone: frozenset[str]) -> list[Passe
             sums.setdefault((p.component, "", one), []).append(p.energy)
         elif not junction or junction == one or junction in kept:
             sums.setdefault((_name(gone), "" if junction else "ports", junction), []).append(p.energy)
-    return found + [Passed(*names, math.fsum(parts)) for names, parts in sums.items()]
+    return found + [PortEnergy(*names, math.fsum(parts)) for names, parts in sums.items()]
 
 
-def _kept(passed: Sequence[Passed], gone: frozenset[str]) -> set[str]:
+def _kept(passed: Sequence[PortEnergy], gone: frozenset[str]) -> set[str]:
     """Junctions at which two members meet that are drawn."""
     ends = Counter(p.junction for p in passed if p.component not in gone and p.junction)
     return {junction for junction, n in ends.items() if n > 1}
 
 
-def gathered_links(found: Sequence[Link], passed: Sequence[Passed], gone: frozenset[str]) -> list[Link]:
+def gathered_links(found: Sequence[Link], passed: Sequence[PortEnergy], gone: frozenset[str]) -> list[Link]:
     """Flows with the members of `gone` and the junctions where no two of the others meet as one member."""
     if not gone:
         return list(found)

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from phfmu.report.page.flows import Passed
+from phfmu.report.page.flows import PortEnergy
 from phfmu.report.page.svg import LINE, OUTSIDE, head, picture, text, width_of
 from phfmu.report.picture.extra import require
 from phfmu.report.picture.prefix import engineering
@@ -39,7 +39,7 @@ Point = tuple[float, float]
 
 @dataclass
 class _Grid:
-    """What is drawn: members by the junctions that they join, with the energy that they took at each."""
+    """Members by the junctions that they join, with the energy that they took at each [J]."""
 
     between: dict[str, dict[str, float]] = field(default_factory=dict[str, dict[str, float]])
     beside: dict[str, dict[str, float]] = field(default_factory=dict[str, dict[str, float]])
@@ -56,12 +56,12 @@ class _Grid:
 
     @cached_property
     def largest(self) -> float:
-        """Of the energies, once all members are there."""
+        """Largest magnitude of the energies [J], once all members are there."""
         return max(abs(e) for group in self.groups for own in group.values() for e in own.values())
 
 
-def grid_diagram(ports: Sequence[Passed], below: Mapping[str, str]) -> tuple[str, int]:
-    """The SVG, "" for what is no mesh of up to MOST_JUNCTIONS, and the number of members that were left out.
+def grid_diagram(ports: Sequence[PortEnergy], below: Mapping[str, str]) -> tuple[str, int]:
+    """The SVG, "" if the network is no mesh of up to MOST_JUNCTIONS, and the number of members that were left out.
 
     `below`: of a member, what its title says besides its energies.
     """
@@ -76,7 +76,7 @@ def grid_diagram(ports: Sequence[Passed], below: Mapping[str, str]) -> tuple[str
     return picture(width, height, 0.8 * width, 10, "".join(parts)), grid.faint
 
 
-def _grid(ports: Sequence[Passed]) -> _Grid:
+def _grid(ports: Sequence[PortEnergy]) -> _Grid:
     members: dict[str, dict[str, float]] = {}
     for p in ports:
         own = members.setdefault(p.component, {})

@@ -9,7 +9,7 @@ import numpy as np
 
 from phfmu.audit.kinds import RowKind
 from phfmu.audit.log.archive import Stream, check_schema, there
-from phfmu.audit.log.reading import Interned
+from phfmu.audit.log.reading import InternedNames
 from phfmu.report.recording import Floats
 
 if TYPE_CHECKING:
@@ -70,11 +70,11 @@ class History:
 def read_history(path: str | os.PathLike[str]) -> History:
     """One pass over an audit log; the memory it takes is that of its numbers.
 
-    Errors: FileNotFoundError; ValueError for what is not an audit log, or is damaged.
+    Errors: FileNotFoundError; ValueError for a file that is not an audit log, or is damaged.
     """
     import pyarrow as pa
 
-    interned = Interned()
+    interned = InternedNames()
     parts: dict[RowKind, dict[tuple[int, ...], list[Columns]]] = {kind: {} for kind in NUMBERS}
     try:
         schema, batches = _batches(path)
@@ -114,7 +114,7 @@ def _batches(path: str | os.PathLike[str]) -> "tuple[pa.Schema, Iterator[pa.Reco
 
 
 def _sort_in(
-    batch: "pa.RecordBatch", interned: Interned, parts: dict[RowKind, dict[tuple[int, ...], list[Columns]]]
+    batch: "pa.RecordBatch", interned: InternedNames, parts: dict[RowKind, dict[tuple[int, ...], list[Columns]]]
 ) -> None:
     """Put the rows of a batch to those of their kind and key."""
     columns = dict(zip(batch.schema.names, batch.columns, strict=True))

@@ -1,4 +1,4 @@
-"""The page of a run: diagram, flows, books, signals, events, verdict and what the model is."""
+"""The page of a run: diagram, flows, energies of components, signals, events, verdict and what the model is."""
 
 import os
 from collections.abc import Iterator, Sequence
@@ -14,7 +14,7 @@ from phfmu.audit.summary import LedgerSummary
 from phfmu.pick import pick
 from phfmu.report.audit_signals import AuditSignals, marks
 from phfmu.report.page.diagram import one_line
-from phfmu.report.page.flows import Book, books, links, ports
+from phfmu.report.page.flows import ComponentEnergies, component_energies, links, ports
 from phfmu.report.page.gathered import gathered_links, gathered_ports, others
 from phfmu.report.page.grid_diagram import grid_diagram
 from phfmu.report.page.history import History, read_history
@@ -43,14 +43,14 @@ class Run:
 
 
 @dataclass(frozen=True)
-class Written:
+class PageResult:
     """The result of writing a page: notes of what it does not show; whether the ledger is closed (also without an audit)."""
 
     notes: tuple[str, ...]
     closed: bool
 
 
-def write_report(run: Run, path: str | os.PathLike[str], window: tuple[float, float] = ALWAYS) -> Written:
+def write_report(run: Run, path: str | os.PathLike[str], window: tuple[float, float] = ALWAYS) -> PageResult:
     """Write the page of a run over a window.
 
     Errors: ValueError for files that cannot be read, a window without a step, signals that are not there.
@@ -84,7 +84,7 @@ def write_report(run: Run, path: str | os.PathLike[str], window: tuple[float, fl
     notes = list(dict.fromkeys(notes))
     body += [f'<p class="note">{escape(note)}</p>' for note in notes]
     write_page(path, title, body)
-    return Written(tuple(notes), closed)
+    return PageResult(tuple(notes), closed)
 
 
 def _window(history: History, window: tuple[float, float]) -> History:
@@ -128,10 +128,10 @@ def _facts(history: History, run: Run) -> Iterator[str]:
 
 
 def _energy(inside: History, summary: LedgerSummary) -> Iterator[str]:
-    """Diagram, Sankey and books of the steps of a window."""
+    """Diagram, Sankey and energies of components of the steps of a window."""
     t, h = inside.steps["t0"], inside.steps["h"]
     span = f"{t[0]:.6g} s to {t[-1] + h[-1]:.6g} s"
-    accounts, passed = books(inside), ports(inside)
+    accounts, passed = component_energies(inside), ports(inside)
     gone = others([b.component for b in accounts], passed)
     flows = gathered_links(links(inside), passed, gone)
     below = {b.component: f"dissipated {engineering(b.dissipated, 'J')}" for b in accounts if b.dissipated}
@@ -165,7 +165,7 @@ def _level(inside: History) -> float:
     return max((float(np.nanmax(np.abs(c["H1"]), initial=0.0)) for c in inside.components.values()), default=0.0)
 
 
-def _books(accounts: Sequence[Book], summary: LedgerSummary) -> Iterator[str]:
+def _books(accounts: Sequence[ComponentEnergies], summary: LedgerSummary) -> Iterator[str]:
     """The energies of the members as a table; columns that are empty are left out."""
     words = {c.component: c.verdict for c in summary.components}
     names = ("stored", "dissipated", "numerical", "supplied", "events", "residual")
@@ -183,7 +183,7 @@ def _books(accounts: Sequence[Book], summary: LedgerSummary) -> Iterator[str]:
 
 
 def _junctions(summary: LedgerSummary) -> Iterator[str]:
-    """What the junctions made in the whole run, net and as the sum of the sizes of steps, those that made most first."""
+    """Energy that junctions made in the whole run, net and as the sum of magnitudes of steps, those that made most first."""
     most = sorted(summary.junctions, key=lambda j: -max(j.gross, j.worst_residual))[:JUNCTIONS]
     if not most:
         return

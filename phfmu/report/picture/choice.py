@@ -39,7 +39,7 @@ def first(groups: Sequence[list[Signal]]) -> list[list[Signal]]:
 
 
 def few(signals: Sequence[Signal]) -> list[Signal]:
-    """Those of one axis that are drawn, in their order."""
+    """Signals of one axis that are drawn, in their order."""
     if signals[0].topic:
         return _largest(signals)
     turns: dict[str, int] = {}
@@ -58,7 +58,7 @@ def few(signals: Sequence[Signal]) -> list[Signal]:
 
 
 def rank(s: Signal) -> int:
-    """Its turn by its kind: 0 is first."""
+    """Rank of a signal by its kind: 0 is drawn first."""
     return _RANKS.get(s.kind, 0)
 
 

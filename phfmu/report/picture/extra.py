@@ -4,7 +4,7 @@ from importlib.util import find_spec
 
 
 def require(package: str) -> None:
-    """ValueError unless the package is installed."""
+    """Raise ValueError unless the package is installed."""
     if find_spec(package) is None:
         what = {"matplotlib": "a PNG", "plotly": "an HTML page", "networkx": "a page of a large network"}[package]
         raise ValueError(f'{what} needs {package}, which is not installed: pip install "phfmu[report]"')

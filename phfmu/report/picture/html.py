@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from phfmu.report.picture.extra import require
-from phfmu.report.picture.labels import LINE, Crowd, Label, entry, height, labels, parted
+from phfmu.report.picture.labels import LINE, EventCluster, Label, entry, height, labels, parted
 from phfmu.report.picture.picture import COLOURS, Curve, Panel, Picture
 from phfmu.report.picture.thinning import COLUMNS, PER_COLUMN, columns_within, lean, thin
 from phfmu.report.recording import Floats, Mark
@@ -238,7 +238,9 @@ def _style(curve: Curve, log: bool = False) -> dict[str, Any]:
     return {"mode": "lines", "name": name, "line": line}
 
 
-def _marks(figure: Any, panels: int, alone: Sequence[Mark], crowds: Sequence[Crowd], texts: Sequence[Label]) -> None:
+def _marks(
+    figure: Any, panels: int, alone: Sequence[Mark], crowds: Sequence[EventCluster], texts: Sequence[Label]
+) -> None:
     """A dotted line in all panels for each mark, ticks at their feet for crowds; their texts above the first."""
     axes = [figure.get_subplot(i, 1) for i in range(1, panels + 1)]
     # one path each: a shape for every event would take a browser minutes

@@ -91,7 +91,7 @@ PLACES = 1500
 
 
 @dataclass(frozen=True)
-class Crowd:
+class EventCluster:
     """Events in order, two at least; `ticks`: their times, of those at one place of the axis the first."""
 
     marks: tuple[Mark, ...]
@@ -106,17 +106,17 @@ class Crowd:
         return Mark(first.time, f"{what} until {self.marks[-1].time:.4g} s")
 
 
-def parted(marks: Sequence[Mark], start: float, stop: float) -> tuple[list[Mark], list[Crowd]]:
+def parted(marks: Sequence[Mark], start: float, stop: float) -> tuple[list[Mark], list[EventCluster]]:
     """Marks that have room for a line on an axis from `start` to `stop`, and crowds of the others."""
     if not stop > start:
         return list(marks), []
-    alone, crowds = list[Mark](), list[Crowd]()
+    alone, crowds = list[Mark](), list[EventCluster]()
     for group in _close(sorted(marks, key=lambda m: m.time), CLOSE * (stop - start)):
         if len(group) <= MOST:
             alone += group
             continue
         places = {int((m.time - start) / (stop - start) * PLACES): m.time for m in reversed(group)}
-        crowds.append(Crowd(tuple(group), tuple(sorted(places.values()))))
+        crowds.append(EventCluster(tuple(group), tuple(sorted(places.values()))))
     return alone, crowds
 
 

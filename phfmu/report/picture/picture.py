@@ -135,7 +135,7 @@ def _by_pace(group: Sequence[Signal]) -> tuple[list[Signal], list[Signal]]:
 
 
 def title_of(group: Sequence[Signal]) -> str:
-    """An axis is called by what it is about, or by its variables."""
+    """Title of an axis: its topic, or its variables."""
     variables = list(dict.fromkeys(s.name.partition("[")[0] for s in group))
     return group[0].topic or ", ".join(variables[:TITLED]) + (", .." if len(variables) > TITLED else "")
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from phfmu.report.picture.extra import require
-from phfmu.report.picture.labels import Crowd, Label, entry, height, labels, parted
+from phfmu.report.picture.labels import EventCluster, Label, entry, height, labels, parted
 from phfmu.report.picture.picture import COLOURS, Curve, Panel, Picture
 from phfmu.report.picture.prefix import scaled
 from phfmu.report.recording import Mark
@@ -167,7 +167,7 @@ def _style(curve: Curve, log: bool = False) -> dict[str, Any]:
     return {"color": colour, "ls": dash, "label": label} | shape
 
 
-def _crowds(ax: Any, crowds: list[Crowd]) -> None:
+def _crowds(ax: Any, crowds: list[EventCluster]) -> None:
     """Ticks at the foot of the axis."""
     for crowd in crowds:
         ax.vlines(crowd.ticks, 0.0, TICK, transform=ax.get_xaxis_transform(), color="0.3", lw=0.6)

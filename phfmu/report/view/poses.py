@@ -109,7 +109,7 @@ def motion(title: str, shapes: Sequence[Shape], time: Floats, columns: Columns) 
 
 
 def _reach(solid: Shape) -> float:
-    """How far a solid of its own size is beyond its centre, m."""
+    """Distance that a solid of its own size reaches beyond its centre [m]."""
     if not solid.size:
         return 0.0
     return 0.5 * float(np.linalg.norm(solid.size)) if solid.kind is ShapeKind.BOX else solid.size[0]
@@ -124,7 +124,7 @@ def _over(place: Place, columns: Columns, n: int) -> Floats:
 
 
 def _turn(solid: Shape, columns: Columns, n: int) -> Floats:
-    """Its orientation over the rows as quaternions (n x 4): the rotation nearest to its axes (polar decomposition)."""
+    """Orientation of a solid over the rows as quaternions (n x 4): the rotation nearest to its axes (polar decomposition)."""
     if not solid.axes:
         return np.tile([0.0, 0.0, 0.0, 1.0], (n, 1))
     frame = np.stack([_over(a, columns, n) for a in solid.axes], axis=2)

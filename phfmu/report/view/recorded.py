@@ -48,7 +48,7 @@ def frames(shapes: Sequence[Shape]) -> int:
 
 
 def require_shapes(shapes: Sequence[Shape], target: str) -> None:
-    """ValueError where there is nothing to see."""
+    """Raise ValueError where there is nothing to see."""
     if not shapes:
         raise ValueError(
             f"{target} has no shapes to show; systems of `Multibody` have, and others that declare PHDAE(shapes=..) "
@@ -59,7 +59,7 @@ def require_shapes(shapes: Sequence[Shape], target: str) -> None:
 def of_table(path: str | os.PathLike[str], shapes: Sequence[Shape] = ()) -> Motion:
     """The motion of a table that `phfmu run -o` wrote; `shapes`: of the model, where no file beside it tells of them.
 
-    Errors: ValueError for what is no table, lacks columns or has no shapes.
+    Errors: ValueError for a file that is no table, lacks columns or has no shapes.
     """
     place = Path(path)
     shown = tuple(shapes) or read_shapes(place)

@@ -93,7 +93,7 @@ def _events(rows: InputRows, found: Interpolant | None, t0: float, since: float)
 
 
 def _require_one_source(rows: InputRows, options: Options) -> None:
-    """ValueError where events give what the rows give, from the first of them on."""
+    """Raise ValueError where events give what the rows give, from the first of them on."""
     for e in options.events:
         own = [n for n in rows.names if e.name in (n, n.partition("[")[0])]
         if own and e.t >= rows.time[0]:

@@ -149,7 +149,7 @@ def input_rows(data: Any, known: Sequence[str]) -> InputRows:
 
 
 def require_times(time: Array, source: str, place: Callable[[int], str]) -> None:
-    """ValueError where times decrease or are not finite; equal ones are a jump; `place`: what row i is called."""
+    """Raise ValueError where times decrease or are not finite; equal ones are a jump; `place`: what row i is called."""
     wrong = np.flatnonzero(~(np.diff(time) >= 0))
     if wrong.size:
         i = wrong[0] + 1
@@ -159,6 +159,6 @@ def require_times(time: Array, source: str, place: Callable[[int], str]) -> None
 
 
 def require_interpolation(kind: str) -> None:
-    """ValueError for a word that is none."""
+    """Raise ValueError for a word that is none."""
     if kind not in INTERPOLATIONS:
         raise ValueError(f"--interpolate {kind}: expected {', '.join(INTERPOLATIONS)}")

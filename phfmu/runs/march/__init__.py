@@ -1,1 +1,1 @@
-"""How a run gets from event to event: equal steps, steps that keep a tolerance, steps that end on events, restart steps."""
+"""Steps from event to event of a run: equal steps, steps that keep a tolerance, steps that end on events, restart steps."""

@@ -62,7 +62,7 @@ class ToleranceMissed(StepFailure):
 
 
 @dataclass
-class Control:
+class ControllerState:
     """The state of the controller from step to step.
 
     `h`: the proposal;  `last`: error of the last accepted step;  `rejected`: trial steps that were taken back;  `smallest`,
@@ -96,7 +96,7 @@ class Adaptive:
         states = model.declaration.states
         self.nominal = np.array([v.nominal[j] for v in states for j in range(v.n)])
         self._names = [n for v in states for n in v.names()]
-        self.control = Control(_rounded(min(self.parts * options.step, self.max_step)))
+        self.control = ControllerState(_rounded(min(self.parts * options.step, self.max_step)))
 
     def after_event(self) -> None:
         """Forget the last error: what comes is not its continuation."""
@@ -112,7 +112,7 @@ class Adaptive:
         return []
 
     def march(self, pauses: bool = False) -> NativeMarch | None:
-        """The same steps in compiled code, many a call and recorded; None where only a loop in Python can take them.
+        """The march of these steps in compiled code, many a call and recorded; None where only a loop in Python can take them.
 
         `pauses`: it hands over after each state event.
         """

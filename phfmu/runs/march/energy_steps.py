@@ -58,8 +58,8 @@ LEAST = 1e-6  # of `--step`: steps are not shorter than that or `--min-step`
 
 
 @dataclass(frozen=True)
-class Rule:
-    """The numbers of the controller; `first`: from this step on it acts."""
+class PIParameters:
+    """The numbers of a PI controller of step sizes; it acts from step `first` on."""
 
     safety: float
     integral: float
@@ -69,16 +69,16 @@ class Rule:
     first: int
 
 
-ECCO = Rule(0.8, 0.35, 0.2, 0.2, 1.5, 2)
+ECCO = PIParameters(0.8, 0.35, 0.2, 0.2, 1.5, 2)
 
 
-def rule(order: int) -> Rule:
-    """The rule of steps that keep a tolerance, for residuals of this order in h."""
-    return Rule(SAFETY, INTEGRAL / order, PROPORTIONAL / order, SHRINK, GROW, 2)
+def pi_parameters(order: int) -> PIParameters:
+    """The controller of steps that keep a tolerance, for residuals of this order in h."""
+    return PIParameters(SAFETY, INTEGRAL / order, PROPORTIONAL / order, SHRINK, GROW, 2)
 
 
 class EnergySteps:
-    """Steps of a `Coupled`.  ValueError where the option means nothing for what is stepped."""
+    """Steps of a `Coupled` by the energy residual of its junctions; raises ValueError where the option means nothing there."""
 
     CARRIED = (
         "_h", "_last", "_steps", "_smallest", "_largest", "_rejected", "_missed", "_exchanged", "_power", "_floor", "_before",
@@ -96,7 +96,7 @@ class EnergySteps:
         self._makes = not self.stepper.solves_rows or bool(joined.put_off)
         #: of the residuals in h
         self._order = 2 if self._makes else 3
-        self._rule = ECCO if self._ecco else rule(self._order)
+        self._controller = ECCO if self._ecco else pi_parameters(self._order)
         self._rtol, self._atol = tolerance, options.atol or 0.0
         self._first, self._max_step = options.step, options.max_step
         self._min_step = options.min_step or (0.0 if self._ecco else min(LEAST * options.step, options.max_step))
@@ -123,7 +123,7 @@ class EnergySteps:
         return {"rejected": self._rejected, "smallest": self._smallest, "largest": self._largest}
 
     def notes(self) -> list[str]:
-        """What was not as asked for."""
+        """Notes of what was not as asked for, one line each."""
         told = []
         if self.stuck and not self._ecco:
             told.append(
@@ -139,7 +139,7 @@ class EnergySteps:
 
     def advance(self, t: float, end: float, restart: bool = False) -> tuple[list[float], Steps]:
         """One step from t, not beyond `end`: where it ends (`end` to the last bit), and the step."""
-        limit, rejected = self._rule.most, self._rejected
+        limit, rejected = self._controller.most, self._rejected
         while True:
             left = end - t
             whole = self._h >= left * (1 - NEAR)
@@ -167,7 +167,7 @@ class EnergySteps:
             self._power = self._power + MEMORY * (passed / h - self._power)
             self._smallest, self._largest = min(self._smallest, h), max(self._largest, h)
             self._steps += 1
-            if self._steps >= self._rule.first:
+            if self._steps >= self._controller.first:
                 self._control(h, max(error, NOTHING), limit)
             if self._again:
                 steps = replace(steps, rejected=np.full(len(steps.H), self._rejected - rejected))
@@ -206,7 +206,7 @@ class EnergySteps:
 
     def _control(self, h: float, error: float, limit: float) -> None:
         """The next size; a step cut short by `end` does not lower it."""
-        r = self._rule
+        r = self._controller
         factor = r.safety * error**-r.integral * self._last**r.proportional
         proposal = h * min(max(factor, r.least), limit)
         cut = self._h if h < self._h and factor >= 1.0 else 0.0

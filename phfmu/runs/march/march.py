@@ -1,4 +1,4 @@
-"""How a run gets from event to event: equal steps, or steps that keep a tolerance; either with restart steps.
+"""Steps from event to event of a run: equal ones, or steps that keep a tolerance; either with restart steps.
 
 Rows are handed over in blocks: what is on its way to the audit and the result file is at most `BLOCK_SECONDS` old.
 """
@@ -27,7 +27,7 @@ from phfmu.runs.march.restart import Restart, monolithic, not_damped, require_fi
 from phfmu.runs.march.ringing import Ringing
 from phfmu.runs.march.stretches import Stretch
 from phfmu.runs.options import Options
-from phfmu.runs.rows import Row
+from phfmu.runs.rows import RowBlock, RowBlocks
 
 if TYPE_CHECKING:
     from phfmu.runs.march.adaptive import Adaptive
@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     from phfmu.runs.march.native_march import NativeMarch
 
 Array = NDArray[Any]
-Rows = Iterator[Row]
 
 BLOCK = 4096  # most steps of a block
 BLOCK_SECONDS = 0.25  # wall time that a block should take
@@ -65,7 +64,7 @@ def goals(start: float, end: float, landing: float) -> Iterator[float]:
 
 
 def blocks_of_goals(start: float, end: float, landing: float) -> Iterator[Array]:
-    """The same in arrays of at most `BLOCK`."""
+    """The times of `goals` in arrays of at most `BLOCK`."""
     remaining = goals(start, end, landing)
     while block := list(islice(remaining, BLOCK)):
         yield np.array(block)
@@ -77,10 +76,10 @@ def next_goal(ahead: Array, t: float) -> float:
 
 
 @dataclass(frozen=True)
-class Place:
-    """Where a march is in a stretch, between two blocks of rows: the next step is `first` of the grid number `piece`, or starts
-    at the time t (s) where steps have any length.
+class MarchPosition:
+    """Position of a march in a stretch, between two blocks of rows.
 
+    piece, first: the next step is `first` of the grid number `piece`;  t: it starts then (s), where steps have any length
     left: damped steps that are still to be taken;  changed: something was set since the last step
     """
 
@@ -92,11 +91,11 @@ class Place:
 
 
 def nowhere() -> None:
-    """Nobody wants to know that a march is between two blocks."""
+    """Do nothing between two blocks, where nobody asks for a checkpoint."""
 
 
-class Pace:
-    """How many steps to take before their rows are handed over, from the wall time that steps took.
+class BlockSize:
+    """Number of steps of a block, after which rows are handed over, from the wall time that steps took.
 
     Where something is to be done each so many steps, whatever the time, blocks end there.
     """
@@ -148,12 +147,12 @@ class FixedSteps:
 
     def __init__(self, stepper: Stepper, book: Book, options: Options):
         #: where it is, and what is called there between two blocks
-        self.place, self.between_blocks = Place(), nowhere
+        self.place, self.between_blocks = MarchPosition(), nowhere
         self.stepper, self.book, self.step, self.restart = stepper, book, options.step, options.restart
         self._damped = Restart(stepper) if self.restart else None
         self._alone = self._damped is not None and self._damped.events_inside
         self._cut: list[float] = []
-        self.pace = Pace()
+        self.pace = BlockSize()
         self._longest, self._happened = 0.0, False
         self._ringing = Ringing(stepper, options.step, self.restart)
 
@@ -162,13 +161,13 @@ class FixedSteps:
         s = self.stepper
         return not self.restart and isinstance(s, Monolithic) and s.between is None and name in s.free_inputs
 
-    def over(self, stretch: Stretch, event: bool) -> Rows:
+    def over(self, stretch: Stretch, event: bool) -> RowBlocks:
         """The rows in (start, end]; `event`: something changed at the start."""
         self._ringing.changed(stretch)
-        self.place = Place(left=self.restart if event else 0)
+        self.place = MarchPosition(left=self.restart if event else 0)
         return self.on(stretch)
 
-    def on(self, stretch: Stretch) -> Rows:
+    def on(self, stretch: Stretch) -> RowBlocks:
         """The rows from its place on."""
         begun = self.place
         stretch.inputs.within(begun.first, 0)  # those before are read past
@@ -177,7 +176,7 @@ class FixedSteps:
                 continue
             first, left = (begun.first, begun.left) if piece == begun.piece else (0, self.place.left)
             while first < n:
-                self.place = Place(piece, first, left)
+                self.place = MarchPosition(piece, first, left)
                 self.between_blocks()
                 if h < self.step * (1 - 1e-9) and not first:
                     self._cut.append(h)
@@ -186,7 +185,7 @@ class FixedSteps:
                 inputs = stretch.inputs.within(first, count)
                 yield from self._booked(t, h, first, count, damped, inputs)
                 first, left = first + count, self.restart if self._happened else max(left - 1, 0)
-                self.place = Place(piece, first, left)
+                self.place = MarchPosition(piece, first, left)
                 self.pace.handed_over(count)
 
     def facts(self) -> dict[str, Any]:
@@ -198,7 +197,9 @@ class FixedSteps:
         cut = [_shorter(self._cut, self.book.steps, self.step)] if self._cut else []
         return cut + (self._damped.notes() if self._damped else []) + self._ringing.notes()
 
-    def _booked(self, t: float, h: float, first: int, n: int, damped: bool, inputs: list[tuple[int, Event]]) -> Rows:
+    def _booked(
+        self, t: float, h: float, first: int, n: int, damped: bool, inputs: list[tuple[int, Event]]
+    ) -> RowBlocks:
         """The rows of steps first..first+n-1 of the grid t + k h; those before one that fails, too.
 
         inputs: (step from `first`, event)
@@ -227,7 +228,7 @@ class FixedSteps:
         self.book.inputs(inputs)
         yield self._added(t, h, first, steps)
 
-    def _added(self, t: float, h: float, first: int, steps: Steps) -> Row:
+    def _added(self, t: float, h: float, first: int, steps: Steps) -> RowBlock:
         times = t + h * np.arange(first, first + len(steps.H) + 1)
         self.book.add(times[:-1], np.full(len(steps.H), h), steps)
         return step_rows(times[:-1], times[1:], steps)
@@ -240,23 +241,23 @@ class AdaptiveSteps:
 
     def __init__(self, stepper: Stepper, book: Book, options: Options):
         #: where it is, and what is called there between two blocks
-        self.place, self.between_blocks = Place(), nowhere
+        self.place, self.between_blocks = MarchPosition(), nowhere
         self.book, self.restart, self.landing = book, options.restart, options.landing
         self.adaptive = _sized(stepper, options)
         self._restarted, self._wanted = 0, 0
-        self.pace = Pace()
+        self.pace = BlockSize()
 
     def takes_inputs(self, name: str) -> bool:
         """Steps of any length stop where an input changes."""
         return False
 
-    def over(self, stretch: Stretch, event: bool) -> Rows:
+    def over(self, stretch: Stretch, event: bool) -> RowBlocks:
         """The rows in (start, end]; `event`: something changed at the start."""
         self.adaptive.after_event()
-        self.place = Place(t=stretch.start, left=self.restart if event else 0)
+        self.place = MarchPosition(t=stretch.start, left=self.restart if event else 0)
         return self.on(stretch)
 
-    def on(self, stretch: Stretch) -> Rows:
+    def on(self, stretch: Stretch) -> RowBlocks:
         """The rows from its place on."""
         start, end = stretch.start, stretch.end
         times, rows, left = [self.place.t], [], self.place.left
@@ -264,7 +265,7 @@ class AdaptiveSteps:
             for ahead in blocks_of_goals(start, end, self.landing):
                 while times[-1] < ahead[-1]:
                     if not rows:
-                        self.place = Place(t=times[-1], left=left)
+                        self.place = MarchPosition(t=times[-1], left=left)
                         self.between_blocks()
                     ends, steps, failure = self._taken(times[-1], ahead, left > 0, self.pace.steps - len(times) + 1)
                     left = max(left - 1, 0)
@@ -297,7 +298,7 @@ class AdaptiveSteps:
     def _taken(
         self, t: float, ahead: Array, damped: bool, room: int
     ) -> tuple[list[float], Steps | None, StepFailure | None]:
-        """When accepted steps from t ended, at most `room`, the steps, and why there are no more; one if it is to be `damped`."""
+        """Ends of at most `room` accepted steps from t, the steps, and why there are no more; one if it is to be `damped`."""
         if self._march is not None and not damped:
             found = self._march.take(t, ahead, room)
             return found.ends, found.steps, found.failure
@@ -310,7 +311,7 @@ class AdaptiveSteps:
     def _march(self) -> NativeMarch | None:
         return self.adaptive.march()
 
-    def _booked(self, times: list[float], rows: list[Steps]) -> Row:
+    def _booked(self, times: list[float], rows: list[Steps]) -> RowBlock:
         steps, t = Steps.joined(rows), np.array(times)
         self.book.add(t[:-1], np.diff(t), steps)
         return step_rows(t[:-1], t[1:], steps)
@@ -343,8 +344,8 @@ def _shorter(cut: list[float], steps: int, step: float) -> str:
     )
 
 
-def step_rows(start: Array, end: Array, steps: Steps) -> Row:
-    """Rows at the step ends, with those within the steps before them."""
+def step_rows(start: Array, end: Array, steps: Steps) -> RowBlock:
+    """RowBlocks at the step ends, with those within the steps before them."""
     if steps.between is None:
         return end, steps.signals, np.zeros(len(end), bool)
     m = steps.between.shape[1]

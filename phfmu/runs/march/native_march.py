@@ -31,7 +31,7 @@ MISSED, SMALL = -1, -2
 
 
 class _Goals(ctypes.Structure):
-    """ph_goals."""
+    """The structure ph_goals of the runtime."""
 
     _fields_ = [("t", ctypes.c_void_p), ("n", ctypes.c_int)]
 
@@ -54,7 +54,7 @@ def _library() -> ctypes.CDLL:
     return lib
 
 
-class Controlled(Protocol):
+class AdaptiveInterface(Protocol):
     """The interface of `Adaptive` to its march: instances, tolerances and limits, the controller, and how it tells of a miss."""
 
     stepper: Monolithic
@@ -73,8 +73,8 @@ class Controlled(Protocol):
 
 
 @dataclass(frozen=True)
-class Marched:
-    """When accepted steps ended, the steps (None: there are none), and why there are no more."""
+class MarchOutcome:
+    """Ends of accepted steps [s], the steps (None: there are none), and the failure that ended them."""
 
     ends: list[float]
     steps: Steps | None
@@ -86,7 +86,7 @@ class NativeMarch:
 
     CARRIED = ("crowd",)
 
-    def __init__(self, adaptive: Controlled, pauses: bool = False):
+    def __init__(self, adaptive: AdaptiveInterface, pauses: bool = False):
         self._adaptive, memory = adaptive, Structures(HEADER)
         self._memory, self._lib = memory, _library()
         n = adaptive.stepper.model.step.nx
@@ -100,7 +100,7 @@ class NativeMarch:
         self._ends, self._state = np.zeros(0), np.zeros(0)
 
     def _instances(self, own: Any, other: Any) -> dict[str, Any]:
-        """Where instance and companion are, with guards and modes if they have some."""
+        """Pointers to instance and companion, with guards and modes if they have some."""
         model, none = own.model, {"landing": None, "modes": None, "others": None, "sides": None, "beside": None,
                                   "kept": None, "nside": 0, "nguard": 0, "ncomp": 0, "nsignal": 0}  # fmt: skip
         if model.events is None:
@@ -116,7 +116,7 @@ class NativeMarch:
                 "kept": np.zeros_like(own.native.sides), "nside": len(own.native.sides)}  # fmt: skip
 
     @staticmethod
-    def fits(adaptive: Controlled) -> bool:
+    def fits(adaptive: AdaptiveInterface) -> bool:
         """Whether compiled code may step: inputs are held, rows within steps are asked for of models with one mode only."""
         stepper, both = adaptive.stepper, (adaptive.stepper.instance, adaptive.other)
         one_mode = stepper.lands and stepper.model.modes is None
@@ -124,7 +124,7 @@ class NativeMarch:
         present = [i if i.model.modes is None else i.present for i in both]
         return plain and all(type(i) is NativeInstance and i.handle.kicked is None for i in present)
 
-    def take(self, t: float, goals: Array, room: int) -> Marched:
+    def take(self, t: float, goals: Array, room: int) -> MarchOutcome:
         """Accepted steps from t that land on `goals` (n) up to the last one, about `room` at most.
 
         After a failure the instance is where the last one ended.
@@ -139,10 +139,10 @@ class NativeMarch:
         code = self._called(t, lambda at: self._lib.ph_march_steps(at, request, _Goals.of(goals), room, done))
         n = done.value
         steps = stepper.steps_of(stepper.instance, {name: values[:n] for name, values in rows.items()}) if n else None
-        return Marched(self._ends[:n].tolist(), steps, self._failure(code) if code else None)
+        return MarchOutcome(self._ends[:n].tolist(), steps, self._failure(code) if code else None)
 
     def land(self, t: float, goals: Array, room: int) -> Iterator[Landed]:
-        """The same with guards: steps and events; StepFailure after those before it."""
+        """Accepted steps and events of a model with guards; raises StepFailure after those before it."""
         stepper, landing = self._adaptive.stepper, self._landing
         found: LandingMemory = landing.room(room, stepper.landed_records(stepper.instance))
         switched = stepper.model.modes is not None
@@ -164,7 +164,7 @@ class NativeMarch:
 
     @property
     def t(self) -> float:
-        """Where it is: the end of the last accepted step."""
+        """Time at the end of the last accepted step [s]."""
         return float(self._march.t)
 
     @property

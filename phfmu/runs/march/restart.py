@@ -111,7 +111,7 @@ def fitting(stepper: Stepper) -> Monolithic | Coupled:
 
 
 def monolithic(stepper: Stepper, option: str) -> Monolithic:
-    """The stepper, if it is one composed model; ValueError with the remedies for what is none."""
+    """The stepper, if it is one composed model; raises ValueError, with the remedies, if not."""
     if isinstance(stepper, Monolithic):
         return stepper
     raise ValueError(
@@ -121,7 +121,7 @@ def monolithic(stepper: Stepper, option: str) -> Monolithic:
 
 
 def require_apart(stepper: Coupled) -> None:
-    """ValueError with the remedies for members that take no damping steps."""
+    """Raise ValueError with the remedies for members that take no damping steps."""
     if not (found := stepper.undamped()):
         return
     lines = "; ".join(f"{f'member {name!r}' if name else 'members stepped apart'} {why}" for name, why in found.items())

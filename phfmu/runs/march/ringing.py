@@ -67,7 +67,7 @@ class Ringing:
         self._more = 0
 
     def block(self, most: int) -> int:
-        """How many of `most` steps to take at once; those after an event tell their unknowns where these are needed."""
+        """Number of steps to take at once, of `most`; those after an event tell their unknowns where these are needed."""
         if not self._even:
             return most
         if self._told != (told := self.left > 0 or self._guarded > 0):
@@ -209,7 +209,7 @@ def _joined(rows: list[tuple[Array, Array | None]]) -> tuple[Array, Array | None
     return ends, np.concatenate(told)[-JUDGED:] if len(told) == len(rows) else None
 
 
-class _Watched:
+class _WatchedStates:
     """The states of a model among the columns of a stepper, and its unknowns (at `place`) among those that it tells.
 
     `even`: whether it is looked at from node to node.
@@ -265,21 +265,21 @@ class _Watched:
         return _Nodes(self._model)
 
 
-def _watched(stepper: Stepper) -> list[_Watched]:
+def _watched(stepper: Stepper) -> list[_WatchedStates]:
     """Models that are stepped here by schemes without loss."""
     if isinstance(stepper, Monolithic):
         model = stepper.model
         even = model.step.k % 2 == 0 and model.modes is None
-        return [] if model.loses_energy else [_Watched(stepper, "", model, slice(0, model.step.nw), even)]
+        return [] if model.loses_energy else [_WatchedStates(stepper, "", model, slice(0, model.step.nw), even)]
     from phfmu.network.couplings.coupled import Coupled
 
-    found, at = list[_Watched](), 0
+    found, at = list[_WatchedStates](), 0
     for m in stepper.joined.members if isinstance(stepper, Coupled) else []:
         if isinstance(m, EngineMember):
             even, place = m.model.step.k % 2 == 0 and m.model.modes is None, slice(at, at + len(m.instance.unknowns))
             at = place.stop
             if not m.model.loses_energy:
-                found.append(_Watched(stepper, m.name, m.model, place, even))
+                found.append(_WatchedStates(stepper, m.name, m.model, place, even))
     return found
 
 

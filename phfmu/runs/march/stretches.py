@@ -30,7 +30,7 @@ class Changes:
         self._kept = deque[tuple[int, Event]]()
 
     def within(self, first: int, n: int) -> list[tuple[int, Event]]:
-        """Those at the steps first..first+n-1, numbered from `first`, which are kept until the next ones are asked for."""
+        """Changes at the steps first..first+n-1, numbered from `first`, which are kept until the next ones are asked for."""
         while self._kept and self._kept[0][0] < first:
             self._kept.popleft()
         while self._read < min(first + n, self._end):
@@ -41,7 +41,7 @@ class Changes:
         return [(k - first, e) for k, e in self._kept if k < first + n]
 
     def kept(self) -> list[tuple[int, Event]]:
-        """Those that were asked for last, with their steps."""
+        """Changes that were asked for last, with their steps."""
         return list(self._kept)
 
     def skip(self) -> None:
@@ -100,7 +100,7 @@ def stretches(segments: Callable[[], Iterator[Segment]], step: float, free: Call
 
 
 def _whole(length: float, step: float) -> int:
-    """How many steps the length is, 0 if it is no multiple."""
+    """Number of steps in the length, 0 if it is no multiple."""
     n = round(length / step)
     return n if n and abs(length - n * step) <= CLOSE * step else 0
 

@@ -18,7 +18,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.studies.bench.machine import cpu_seconds, load, processor
+from phfmu.studies.bench.machine import cpu_seconds, machine_line
+from phfmu.studies.figures import pyplot, save
+from phfmu.studies.tables import markdown_table
 
 if TYPE_CHECKING:
     from phfmu.components.electrical import MachineData
@@ -118,7 +120,7 @@ def measured(part: float, seed: int) -> Table:
 
 
 @dataclass(frozen=True)
-class Fitted:
+class TimedFit:
     """A fit by exact derivatives and its CPU time [s]."""
 
     found: Fit
@@ -136,7 +138,7 @@ class Fitted:
         return float(off @ np.linalg.solve(self.found.correlation, off) / len(off))
 
 
-class Fits:
+class ShortCircuitFits:
     """Fits of short circuits at a load, all by one compiled model."""
 
     def __init__(self, part: float = LOADED):
@@ -148,23 +150,23 @@ class Fits:
         self.part, self.model = part, build_model(machine(part).with_starts(begin))
         self.instance, self.options = NativeInstance(self.model), Options(stop=STOP, step=STEP)
 
-    def exact(self, seed: int) -> Fitted:
-        """By the derivatives of the steps."""
+    def exact(self, seed: int) -> TimedFit:
+        """A fit by the derivatives of the steps."""
         from phfmu.derivatives.fits.fit import Experiment, fit
 
         found: list[Fit] = []
         own = [Experiment("short circuit", measured(self.part, seed), self.options, SHORT)]
         spent = cpu_seconds(lambda: found.append(fit(self.model, self.instance, own, list(FREE), MEASURED)))
-        return Fitted(found[0], spent)
+        return TimedFit(found[0], spent)
 
     def differences(self, seed: int, points: str) -> tuple[Array, int, int, float]:
-        """By differences of plain runs (`2-point`, `3-point`): values, iterations, runs, CPU time [s]."""
+        """A fit by differences of plain runs (`2-point`, `3-point`): values, iterations, runs, CPU time [s]."""
         from dataclasses import replace
 
         from scipy.optimize import least_squares
 
-        from phfmu.derivatives.between import Between
         from phfmu.derivatives.derived import DerivedSteps
+        from phfmu.derivatives.interpolation import LinearInterpolation
         from phfmu.outcome.status import StepFailure
         from phfmu.runs.loop import run
 
@@ -180,7 +182,7 @@ class Fits:
                 result = run(stepper, options)
             except (StepFailure, FloatingPointError):
                 return np.full(data.values.size, np.nan)
-            at = Between(result.time, data.time, "measurements")
+            at = LinearInterpolation(result.time, data.time, "measurements")
             rows = np.column_stack([at.of(result.column(m)) for m in MEASURED])
             return ((rows - data.values) / size).ravel()
 
@@ -192,20 +194,20 @@ class Fits:
 
 
 @dataclass(frozen=True)
-class Study:
+class FitStudy:
     """Fits of draws of the noise, those by differences of the first ones, and the first fit of a machine without load."""
 
-    fits: tuple[Fitted, ...]
+    fits: tuple[TimedFit, ...]
     differences: dict[str, tuple[tuple[Array, int, int, float], ...]]
-    unloaded: Fitted
+    unloaded: TimedFit
 
 
 #: of how many draws the fits by differences are taken, in turn with those by exact derivatives
 COMPARED = {"2-point": 5, "3-point": 5}
 
 
-def study(draws: int = DRAWS, progress: Callable[[str], None] = lambda _: None) -> Study:
-    fits, others = Fits(), dict[str, list[tuple[Array, int, int, float]]]()
+def study(draws: int = DRAWS, progress: Callable[[str], None] = lambda _: None) -> FitStudy:
+    fits, others = ShortCircuitFits(), dict[str, list[tuple[Array, int, int, float]]]()
     for part in (LOADED, UNLOADED):
         integrated(part)
     fits.exact(0)  # compiles
@@ -217,7 +219,7 @@ def study(draws: int = DRAWS, progress: Callable[[str], None] = lambda _: None) 
             if seed < most:
                 others.setdefault(points, []).append(fits.differences(seed, points))
     progress("without load")
-    return Study(tuple(found), {k: tuple(v) for k, v in others.items()}, Fits(UNLOADED).exact(0))
+    return FitStudy(tuple(found), {k: tuple(v) for k, v in others.items()}, ShortCircuitFits(UNLOADED).exact(0))
 
 
 def pairs(found: Fit, least: float = 0.95) -> list[tuple[str, str, float]]:
@@ -233,51 +235,48 @@ def within(found: Fit, most: float = 3.0) -> float:
     return float(np.mean(np.abs(drawn).max(axis=1) <= most))
 
 
-def values_table(s: Study) -> str:
+def values_table(s: FitStudy) -> str:
     head = ["name", "true", "first draw", "its standard error", "largest deviation, errors", "draws within 3 errors",
             "without load: standard error"]  # fmt: skip
-    lines = [head, ["---"] * len(head)]
+    rows = []
     for name, x in true().items():
         off = np.abs([f.off[name] for f in s.fits])
         first, errors = s.fits[0].found, s.unloaded.found.errors
-        lines.append([
+        rows.append([
             name, f"{x:.4g}", f"{first.values[name]:.4g}", f"{100 * first.errors[name] / x:.2g} %", f"{off.max():.2f}",
             f"{int((off <= 3).sum())} of {len(off)}", f"{100 * errors[name] / x:.2g} %",
         ])  # fmt: skip
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+    return markdown_table(head, rows)
 
 
-def cost_table(s: Study) -> str:
-    """In turns on the same draws, medians."""
+def cost_table(s: FitStudy) -> str:
+    """A table of iterations, runs and CPU times, medians over draws that all fits are made of in turns."""
     first = max(COMPARED.values())
     exact = [f.spent for f in s.fits[:first]]
     head = ["derivatives", "iterations", "runs", "CPU, s", "to exact ones", "largest difference to exact, errors"]
-    lines = [head, ["---"] * len(head)]
     few = [f.found for f in s.fits[:first]]
-    lines.append(["exact", f"{median(f.iterations for f in few):g}", f"{median(f.runs for f in few):g}",
-                  f"{median(exact):.2f}", "1", "-"])  # fmt: skip
+    rows = [["exact", f"{median(f.iterations for f in few):g}", f"{median(f.runs for f in few):g}",
+             f"{median(exact):.2f}", "1", "-"]]  # fmt: skip
     for points, others in s.differences.items():
         ratio = median(o[3] / e for o, e in zip(others, exact, strict=False))
         apart = max(
             float(np.max(np.abs(o[0] - list(f.values.values())) / list(f.errors.values())))
             for o, f in zip(others, few, strict=False)
         )
-        lines.append([points, f"{median(o[1] for o in others):g}", f"{median(o[2] for o in others):g}",
-                      f"{median(o[3] for o in others):.2f}", f"{ratio:.1f}", f"{apart:.0e}"])  # fmt: skip
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+        rows.append([points, f"{median(o[1] for o in others):g}", f"{median(o[2] for o in others):g}",
+                     f"{median(o[3] for o in others):.2f}", f"{ratio:.1f}", f"{apart:.0e}"])  # fmt: skip
+    return markdown_table(head, rows)
 
 
-def told(s: Study) -> str:
+def told(s: FitStudy) -> str:
     """The pair of values that a short circuit without load does not tell apart."""
     return "; ".join(f"`{a}` and `{b}`, correlation {c:.4f}" for a, b, c in pairs(s.unloaded.found))
 
 
 def table(progress: Callable[[str], None] = lambda _: None) -> str:
-    """In Markdown."""
+    """Both tables in Markdown, the pair that a machine without load leaves open, and the machine."""
     s = study(progress=progress)
-    return (
-        f"{values_table(s)}\n\n{cost_table(s)}\n\nwithout load go together: {told(s)}\n\n{processor()}; load {load()}"
-    )
+    return f"{values_table(s)}\n\n{cost_table(s)}\n\nwithout load go together: {told(s)}\n\n{machine_line()}"
 
 
 PAGE = """# Fits
@@ -327,16 +326,13 @@ of the same engine. CPU time by one thread, fits in turn on the same draws, medi
 
 {cost_table(s)}
 
-{processor()}; load {load()}
+{machine_line()}
 """
 
 
-def draw(s: Study, path: Path) -> None:
+def draw(s: FitStudy, path: Path) -> None:
     """Currents of phase a and the field, measured and fitted, and deviations of all draws."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
+    plt = pyplot()
 
     plt.rcParams.update({"font.size": 9.5, "axes.spines.top": False, "axes.spines.right": False})
     figure, axes = plt.subplot_mosaic(
@@ -353,12 +349,10 @@ def draw(s: Study, path: Path) -> None:
     axes["phase"].set_title("a short circuit out of 0.8 of rated power")
     axes["field"].set_xlabel("time in ms")
     _deviations(axes["off"], s.fits)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=150)
-    plt.close(figure)
+    save(figure, path)
 
 
-def _deviations(ax: Any, fits: Sequence[Fitted]) -> None:
+def _deviations(ax: Any, fits: Sequence[TimedFit]) -> None:
     ax.axvspan(-3, 3, color="#1f6fb4", alpha=0.08, lw=0)
     ax.axvspan(-1, 1, color="#1f6fb4", alpha=0.12, lw=0)
     for place, name in enumerate(FREE):

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from phfmu.studies.bench.machine import cpu_seconds, load, processor
+from phfmu.studies.bench.machine import cpu_seconds, machine_line
+from phfmu.studies.tables import markdown_table
 
 if TYPE_CHECKING:
     from phfmu.declare.phdae import PHDAE
@@ -23,7 +24,7 @@ LONG = 1_000_000
 
 
 @dataclass(frozen=True)
-class Case:
+class GradientCase:
     """A model by name (`chain:N`, `links:N`, `ladder:N` of the families), order of the scheme."""
 
     name: str
@@ -31,15 +32,15 @@ class Case:
 
 
 CASES = (
-    *(Case("dc_motor", order) for order in (2, 4)), *(Case("smib", order) for order in (2, 4, 6)),
-    Case("ladder:100", 2), Case("four_particle", 2), Case("four_particle", 6), Case("chain:50", 2), Case("chain:50", 6),
-    Case("links:50", 2), Case("links:50", 6),
+    *(GradientCase("dc_motor", order) for order in (2, 4)), *(GradientCase("smib", order) for order in (2, 4, 6)),
+    GradientCase("ladder:100", 2),
+    *(GradientCase(name, order) for name in ("four_particle", "chain:50", "links:50") for order in (2, 6)),
 )  # fmt: skip
 
 
 @dataclass(frozen=True)
-class Cost:
-    """us of a step: forward, all columns off;  forward with the tape;  back, for one measure, by all parameters and starts.
+class GradientCost:
+    """Times of a step [us]: forward, all columns off;  with the tape;  back, for one measure, by all parameters and starts.
 
     schur: whether the steps were the Schur stepper's
     """
@@ -76,7 +77,7 @@ def links(n: int) -> PHDAE:
     return body.build()
 
 
-def built(case: Case) -> tuple[Model, float]:
+def built(case: GradientCase) -> tuple[Model, float]:
     """The model, and the step of its scene."""
     from phfmu.components.mechanical.chain import chain
     from phfmu.components.scenes.electrical.ladder import ladder
@@ -94,8 +95,8 @@ def built(case: Case) -> tuple[Model, float]:
     return build_model(declaration, default_scheme(declaration, case.order)), step
 
 
-def measure(case: Case) -> Cost:
-    """In turns, medians."""
+def measure(case: GradientCase) -> GradientCost:
+    """Times of one case, medians over turns."""
     from phfmu.engine.native.native import NativeInstance
     from phfmu.engine.native.reverse import NativeReverse, NativeTape, RowBars
 
@@ -119,7 +120,7 @@ def measure(case: Case) -> Cost:
         back.bars.x[0, : plan.nx] = 1.0
         turn[2] = cpu_seconds(lambda: back.back(tape.rows, instance.parameters, row, part, nothing))
     forward, taped, reverse = (1e6 * median(column) / n for column in times.T.tolist())
-    return Cost(plan.np, plan.nx, plan.nw, forward, taped, reverse, instance.counts["schur"] > 0)
+    return GradientCost(plan.np, plan.nx, plan.nw, forward, taped, reverse, instance.counts["schur"] > 0)
 
 
 def _steps(instance: Any, h: float) -> int:
@@ -133,9 +134,9 @@ def _steps(instance: Any, h: float) -> int:
 
 
 @dataclass(frozen=True)
-class Memory:
-    """Of a run of so many steps that keeps no tape but the last stretch: bytes kept, s of the run with all columns off, of the
-    stretches that are run again, and of the whole way back, these included."""
+class TapeMemory:
+    """Memory and times of a run of so many steps that keeps no tape but the last stretch: bytes kept, s of the run with all
+    columns off, of the stretches that are run again, and of the whole way back, these included."""
 
     steps: int
     kept: int
@@ -144,12 +145,12 @@ class Memory:
     back: float
 
 
-def long_run(name: str = "smib", order: int = 2, steps: int = LONG) -> Memory:
+def long_run(name: str = "smib", order: int = 2, steps: int = LONG) -> TapeMemory:
     """The memory of the derivative of a long run."""
     from phfmu.derivatives.taped import TapedSteps
     from phfmu.engine.native.native import NativeInstance
 
-    model, h = built(Case(name, order))
+    model, h = built(GradientCase(name, order))
     plain = NativeInstance(model, kernels="compiled")
     forward = cpu_seconds(lambda: plain.run(0.0, h, steps))
     names = [n for v in model.declaration.parameters for n in v.names()]
@@ -162,23 +163,22 @@ def long_run(name: str = "smib", order: int = 2, steps: int = LONG) -> Memory:
     kept = sum(len(call.state) for call in taped.calls) + taped.calls[0].kept
     again = cpu_seconds(lambda: [taped.take_again(call) for call in taped.calls[:8]]) * len(taped.calls) / 8
     last = np.eye(1, steps + 1, steps)[0]
-    return Memory(steps, kept, forward, again, cpu_seconds(lambda: taped.slopes([{"energy.dissipated": last}])))
+    return TapeMemory(steps, kept, forward, again, cpu_seconds(lambda: taped.slopes([{"energy.dissipated": last}])))
 
 
-def table(cases: Sequence[Case] = CASES, progress: Callable[[str], None] = lambda _: None) -> str:
-    """In Markdown."""
+def table(cases: Sequence[GradientCase] = CASES, progress: Callable[[str], None] = lambda _: None) -> str:
+    """The costs of all cases in Markdown, and the machine."""
     head = [
         "model", "order", "parameters", "states", "unknowns", "stepped by", "run us", "with tape us", "back us", "gradient/run",
     ]  # fmt: skip
-    lines = ["| " + " | ".join(head) + " |", "|" + " --- |" * len(head)]
+    rows = []
     for case in cases:
         progress(f"{case.name}, order {case.order}")
         c = measure(case)
-        lines.append(
-            f"| {case.name} | {case.order} | {c.parameters} | {c.states} | {c.unknowns} | {'Schur' if c.schur else 'Newton'} | "
-            f"{c.forward:.2f} | {c.taped:.2f} | {c.back:.2f} | {c.ratio:.2f} |"
-        )
-    return "\n".join([*lines, "", f"{processor()}; load {load()}"])
+        times = (f"{x:.2f}" for x in (c.forward, c.taped, c.back, c.ratio))
+        stepper = "Schur" if c.schur else "Newton"
+        rows.append([case.name, case.order, c.parameters, c.states, c.unknowns, stepper, *times])
+    return f"{markdown_table(head, rows)}\n\n{machine_line()}"
 
 
 PAGE = """# Gradients

@@ -9,6 +9,7 @@ from time import process_time
 from typing import TYPE_CHECKING
 
 from phfmu.studies.bench.compile_cost import compile_runtime, compiler_seconds, fresh_cache
+from phfmu.studies.tables import markdown_table
 
 if TYPE_CHECKING:
     from phfmu.declare.phdae import PHDAE
@@ -18,7 +19,7 @@ H = 0.01
 
 
 @dataclass(frozen=True)
-class Row:
+class LeaveOutRow:
     """One variant: unknowns, state in bytes, kernels and library in bytes, compile in s CPU, FMU in bytes, step in us CPU."""
 
     name: str
@@ -61,7 +62,7 @@ VARIANTS: tuple[tuple[str, Callable[[], PHDAE], tuple[str, ...]], ...] = (
 )
 
 
-def measure(name: str, declaration: PHDAE, versions: tuple[str, ...]) -> Row:
+def measure(name: str, declaration: PHDAE, versions: tuple[str, ...]) -> LeaveOutRow:
     from phfmu.discretise.model import build_model
     from phfmu.engine.build.codegen import kernel_table
     from phfmu.engine.model import kernels
@@ -81,7 +82,7 @@ def measure(name: str, declaration: PHDAE, versions: tuple[str, ...]) -> Row:
         size = library.path.stat().st_size
         paths = export(model, folder, versions=versions, step=H)
         fmu = sum(p.stat().st_size for p in paths)
-    return Row(name, model.step.nw, len(unit.get_state()), len(text), size, seconds, fmu, step_time(unit))
+    return LeaveOutRow(name, model.step.nw, len(unit.get_state()), len(text), size, seconds, fmu, step_time(unit))
 
 
 def step_time(unit, record: tuple[str, ...] = ()) -> float:
@@ -110,20 +111,21 @@ def readings() -> list[tuple[str, float]]:
     return [(name, step_time(unit, kept)) for name, kept in kinds]
 
 
-def table() -> str:
+def table(progress: Callable[[str], None] = lambda _: None) -> str:
     """Both tables in Markdown."""
     head = ["model", "unknowns", "state B", "kernels B", "library B", "compile s", "FMUs B", "step us"]
-    lines = ["| " + " | ".join(head) + " |", "|" + " --- |" * len(head)]
+    rows = []
     for name, made, versions in VARIANTS:
+        progress(name)
         r = measure(name, made(), versions)
-        lines.append(
-            f"| {r.name} | {r.unknowns} | {r.state} | {r.kernels} | {r.library} | {r.compile:.1f} | {r.fmu} | {r.step:.2f} |"
-        )
-    lines += ["", "| reading | step us |", "| --- | --- |", *(f"| {n} | {t:.2f} |" for n, t in readings())]
-    return "\n".join(lines)
+        sizes = r.unknowns, r.state, r.kernels, r.library
+        rows.append([r.name, *sizes, f"{r.compile:.1f}", r.fmu, f"{r.step:.2f}"])
+    times = markdown_table(["reading", "step us"], [[n, f"{t:.2f}"] for n, t in readings()])
+    return f"{markdown_table(head, rows)}\n\n{times}"
 
 
-def page() -> str:
+def page(progress: Callable[[str], None] = lambda _: None) -> str:
+    """The page of the results."""
     return f"""# What is left out
 
 Two particles with a spring, a damper, a bar and a port, and the same without some of them. `kernels`: generated C;
@@ -133,7 +135,7 @@ once a machine; `FMUs`: both versions together, or the one that is there; `step`
 
     phfmu bench leave-out -o docs/results/leave-out.md
 
-{table()}
+{table(progress)}
 
 Importing `phfmu` loads none of its libraries, `phfmu --help` none either, and a run without an audit writes no file:
 `tests/test_leave_out.py` holds these by the modules loaded and the files opened.

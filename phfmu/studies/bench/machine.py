@@ -41,6 +41,12 @@ def load() -> str:
     return " ".join(f"{x:.2f}" for x in os.getloadavg()) if hasattr(os, "getloadavg") else "unknown"
 
 
+def machine_line(before: str = "") -> str:
+    """The processor and the load of the machine; `before`: what the load was before a measurement."""
+    now = f"load {before} before, {load()} after" if before else f"load {load()}"
+    return f"{processor()}; {now}"
+
+
 def installed(packages: Sequence[str]) -> dict[str, str]:
     """Versions of those of the packages that are there."""
     found = {}

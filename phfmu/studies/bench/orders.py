@@ -22,6 +22,7 @@ from phfmu.outcome.status import StepFailure
 from phfmu.outcome.steps import balance
 from phfmu.schemes.named import named_scheme
 from phfmu.schemes.scheme_names import ORDERS, SCHEMES
+from phfmu.studies.tables import markdown_table
 
 Array = NDArray[np.float64]
 
@@ -53,7 +54,7 @@ class Method:
 
 
 @dataclass
-class Row:
+class OrderRow:
     """Cells of one target: a slope or a word per method, and the worst ledger closure per method."""
 
     target: str
@@ -84,7 +85,7 @@ def targets(names: Sequence[str] = ()) -> Iterator[tuple[str, PHDAE]]:
             yield name, declaration
 
 
-def measure(names: Sequence[str] = (), report: Callable[[str], None] = lambda text: None) -> list[Row]:
+def measure(names: Sequence[str] = (), report: Callable[[str], None] = lambda text: None) -> list[OrderRow]:
     """Rows of the targets; `report` is told what is being measured.  KeyError for a name the library does not have."""
     rows = []
     for name, declaration in targets(names):
@@ -93,8 +94,8 @@ def measure(names: Sequence[str] = (), report: Callable[[str], None] = lambda te
     return rows
 
 
-def _row(name: str, declaration: PHDAE) -> Row:
-    row = Row(name)
+def _row(name: str, declaration: PHDAE) -> OrderRow:
+    row = OrderRow(name)
     best = build_model(declaration, named_scheme(declaration, order=6))
     stop = span(best)
     truth, _ = trajectory(best, stop, ORDER_6)
@@ -184,15 +185,15 @@ def _scale(model: Model, x: Array) -> Array:
     return size
 
 
-def table(rows: list[Row]) -> str:
+def table(rows: list[OrderRow]) -> str:
     """A Markdown table: a row per target, a column per method that fits somewhere, ledger closures at the margins."""
     fits = [m for m in methods() if any(m in r.ledger for r in rows)]
     exact = [m for m in fits if m.scheme != "midpoint"]
     head = ["target", *map(str, fits), "worst ledger"]
-    lines = [head, ["---"] * len(head)]
+    lines = []
     for r in rows:
         worst = max((r.ledger[m] for m in exact if m in r.ledger), default=float("nan"))
         lines.append([r.target, *(r.cells.get(m, "") for m in fits), f"{worst:.0e}"])
     closing = [max(r.ledger[m] for r in rows if m in r.ledger) for m in fits]
     lines.append(["worst ledger", *(f"{c:.0e}" for c in closing), ""])
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+    return markdown_table(head, lines)

@@ -29,7 +29,7 @@ ERRORS = {"q4": ("x", slice(9, 12)), "v4": ("x", slice(21, 24)), "lambda1": ("a"
 
 
 @dataclass(frozen=True)
-class Run:
+class PaperRun:
     """Rows over a run of equal steps: t (n+1), H (n+1); dissipated, dH (n); g, dgv (n x bars); x, a at the steps."""
 
     t: Array
@@ -52,7 +52,7 @@ class Statement:
     remark: str = ""
 
 
-def simulate(model: Model, h: float, stop: float, instance: Any = None) -> Run:
+def simulate(model: Model, h: float, stop: float, instance: Any = None) -> PaperRun:
     """`model` from its start to `stop`; StepFailure if a step has no solution."""
     from phfmu.engine.native.native import NativeInstance
 
@@ -62,7 +62,7 @@ def simulate(model: Model, h: float, stop: float, instance: Any = None) -> Run:
     r = unit.run(0.0, h, n, record=("signals", "energy", "stored", "dissipated", "x", "a"))
     checks = r["signals"][:, unit.layout["observables"]][:, -len(model.checks) :]
     bars = len(model.checks) // 2
-    return Run(
+    return PaperRun(
         h * np.arange(n + 1), np.concatenate([start["H"][:1], r["energy"][:, 0]]), r["stored"][:, 0], r["dissipated"][:, 0],
         checks[:, bars:], checks[:, :bars], r["x"], r["a"],
     )  # fmt: skip
@@ -93,9 +93,9 @@ def convergence(models: dict[str, Model], reference: float = 1e-4, stop: float =
 
 def large_steps(
     models: dict[str, Model], steps: tuple[float, ...] = (0.1, 0.2, 0.25, 0.4)
-) -> dict[tuple[str, float], Run | None]:
+) -> dict[tuple[str, float], PaperRun | None]:
     """Runs to 10 s at large steps; None where a step has no solution that Newton's attempts find."""
-    out: dict[tuple[str, float], Run | None] = {}
+    out: dict[tuple[str, float], PaperRun | None] = {}
     for scheme in ("DG", "MP"):
         for h in steps:
             try:

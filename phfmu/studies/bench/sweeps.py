@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from phfmu.studies.bench.machine import cpu_seconds, load, processor
+from phfmu.studies.bench.machine import cpu_seconds, machine_line
+from phfmu.studies.tables import markdown_table
 
 if TYPE_CHECKING:
     from phfmu.discretise.model import Model
@@ -25,8 +26,8 @@ AT_ENDS = ("max(lambda_end[1])",)
 
 
 @dataclass(frozen=True)
-class Case:
-    """runs of so many s, with these measures"""
+class SweepCase:
+    """A sweep of so many runs of `stop` s, with these measures."""
 
     runs: int
     stop: float
@@ -34,13 +35,13 @@ class Case:
 
 
 CASES = (
-    Case(10_000, 1.0, FEW), Case(10_000, 0.01, FEW), Case(100_000, 0.01, FEW), Case(2_000, 1.0, MANY),
-    Case(2_000, 1.0, AT_ENDS),
+    SweepCase(10_000, 1.0, FEW), SweepCase(10_000, 0.01, FEW), SweepCase(100_000, 0.01, FEW), SweepCase(2_000, 1.0, MANY),
+    SweepCase(2_000, 1.0, AT_ENDS),
 )  # fmt: skip
 
 
 @dataclass(frozen=True)
-class Cost:
+class SweepCost:
     """Time of a run in us: of its steps alone, in a sweep by one thread and by `jobs`; what the sweep takes once in ms.
 
     CPU time of one thread, but wall time of `jobs`.
@@ -86,7 +87,7 @@ class _Alone:
         return 1e6 * spent / len(self._values)
 
 
-def measure(case: Case, jobs: int) -> Cost:
+def measure(case: SweepCase, jobs: int) -> SweepCost:
     from phfmu.discretise.model import build_model
     from phfmu.runs.options import Options
     from phfmu.sweeps.design import grid
@@ -114,7 +115,7 @@ def measure(case: Case, jobs: int) -> Cost:
     alone = median(steps)
     one, every = (1e6 * (median(times[n]) - once) / case.runs for n in (1, jobs))
     found = tables[jobs]
-    return Cost(
+    return SweepCost(
         int(found["steps"][0].as_py()), found.num_columns - len(runs.names) - 3, alone, one, every, 1e3 * once, jobs,
         alone / (jobs * every), found.nbytes / case.runs, found.equals(tables[1]),
     )  # fmt: skip
@@ -133,7 +134,7 @@ MORE_TURNS = 5
 
 
 @dataclass(frozen=True)
-class Gain:
+class LaneGain:
     """CPU time of a step of a sweep by one thread in us, each run by itself and several side by side, both with compiled kernels.
 
     gain: median over turns of both;  inside: part of the steps that were taken side by side;  same: whether bits are the same
@@ -146,7 +147,7 @@ class Gain:
     same: bool
 
 
-def gain(name: str, varied: str, measured: str, order: int, stop: float) -> Gain:
+def gain(name: str, varied: str, measured: str, order: int, stop: float) -> LaneGain:
     from phfmu.engine.native.native import NativeInstance
     from phfmu.runs.options import Options
     from phfmu.schemes.named import named_scheme
@@ -176,7 +177,7 @@ def gain(name: str, varied: str, measured: str, order: int, stop: float) -> Gain
     del compiled, made
     a, b = found
     n = 1e-6 * a.steps.sum()
-    return Gain(
+    return LaneGain(
         median(times[0]) / n, median(times[1]) / n, median(x / y for x, y in zip(*times, strict=True)),
         float(b.inside / b.steps.sum()),
         all(getattr(a, part).tobytes() == getattr(b, part).tobytes() for part in ("values", "steps", "ledger")),
@@ -184,17 +185,15 @@ def gain(name: str, varied: str, measured: str, order: int, stop: float) -> Gain
 
 
 def gains(progress: Callable[[str], None] = lambda _: None) -> str:
-    """In Markdown."""
+    """The gains of runs side by side in Markdown."""
     head = ["scene", "order", "alone us/step", "side by side us/step", "gain", "steps side by side", "same bits"]
-    lines = ["| " + " | ".join(head) + " |", "|" + " --- |" * len(head)]
+    rows = []
     for case in TOGETHER:
         progress(f"{case[0]}, order {case[3]}, side by side")
         g = gain(*case)
-        lines.append(
-            f"| {case[0]} | {case[3]} | {g.alone:.2f} | {g.together:.2f} | {g.gain:.1f} | {100 * g.inside:.1f} % | "
-            f"{'yes' if g.same else 'no'} |"
-        )
-    return "\n".join(lines)
+        numbers = f"{g.alone:.2f}", f"{g.together:.2f}", f"{g.gain:.1f}", f"{100 * g.inside:.1f} %"
+        rows.append([case[0], case[3], *numbers, "yes" if g.same else "no"])
+    return markdown_table(head, rows)
 
 
 def _seconds(take: Callable[[], object]) -> float:
@@ -202,8 +201,8 @@ def _seconds(take: Callable[[], object]) -> float:
     return median(cpu_seconds(take) for _ in range(TURNS))
 
 
-def table(cases: Sequence[Case] = CASES, progress: Callable[[str], None] = lambda _: None) -> str:
-    """In Markdown."""
+def table(cases: Sequence[SweepCase] = CASES, progress: Callable[[str], None] = lambda _: None) -> str:
+    """The costs of all cases in Markdown, and the machine."""
     from phfmu.processors import processors
 
     jobs = processors()
@@ -211,15 +210,14 @@ def table(cases: Sequence[Case] = CASES, progress: Callable[[str], None] = lambd
         "runs", "steps", "values", "steps alone us", "1 thread us", "own us", f"{jobs} threads us", "share of the cores",
         "once ms", "bytes a run", "same bits",
     ]  # fmt: skip
-    lines = ["| " + " | ".join(head) + " |", "|" + " --- |" * len(head)]
+    rows = []
     for case in cases:
         progress(f"{case.runs} runs of {case.stop} s, {', '.join(case.measures)}")
         c = measure(case, jobs)
-        lines.append(
-            f"| {case.runs} | {c.steps} | {c.values} | {c.alone:.1f} | {c.one:.1f} | {c.one - c.alone:.1f} | {c.every:.1f} | "
-            f"{c.share:.2f} | {c.once:.0f} | {c.size:.0f} | {'yes' if c.same else 'no'} |"
-        )
-    return "\n".join([*lines, "", f"{processor()}; load {load()}"])
+        times = (f"{x:.1f}" for x in (c.alone, c.one, c.one - c.alone, c.every))
+        rest = f"{c.share:.2f}", f"{c.once:.0f}", f"{c.size:.0f}", "yes" if c.same else "no"
+        rows.append([case.runs, c.steps, c.values, *times, *rest])
+    return f"{markdown_table(head, rows)}\n\n{machine_line()}"
 
 
 PAGE = """# Sweeps
@@ -254,4 +252,4 @@ processor hold four, so that at order 6 several runs gain nothing, and steps are
 
 
 def page(progress: Callable[[str], None] = lambda _: None) -> str:
-    return PAGE + table(progress=progress) + LANES + gains(progress) + f"\n\n{processor()}; load {load()}\n"
+    return PAGE + table(progress=progress) + LANES + gains(progress) + f"\n\n{machine_line()}\n"

@@ -25,15 +25,15 @@ from typing import Any
 import numpy as np
 
 from phfmu.audit.blame import GOES_ON, KNOWN, Finding, blame, findings
-from phfmu.studies.blame.faults import Fault, FaultKind, FaultyMember, Where
-from phfmu.studies.blame.networks import COUPLINGS, KINDS, STEPS, Drawn, draw, members
+from phfmu.studies.blame.faults import FaultKind, FaultPlace, FaultyMember, PlantedFault
+from phfmu.studies.blame.networks import COUPLINGS, KINDS, STEPS, RandomNetwork, draw, members
 
 #: of the energy that a member exchanges: a fault that makes less has not acted
 ACTED = 1e-6
 UNITS = (1e3, 1e-3, 60.0 / (2.0 * np.pi), 2.0 * np.pi / 60.0, np.pi / 180.0, 180.0 / np.pi, 1e6, 1e-6)
 
 
-class LeftOut(StrEnum):
+class Exclusion(StrEnum):
     """Why a fault is left out."""
 
     REFUSED = "refused before the first step"
@@ -44,17 +44,17 @@ class LeftOut(StrEnum):
 
 
 @dataclass
-class Outcome:
-    """Of a case: who is guilty, what was said first, who was named; `left_out`: why it does not count, "" if it does.
+class FaultOutcome:
+    """The outcome of a case: the guilty member, the first sentence, the name in it; `left_out`: why it does not count, or "".
 
     control:  members and junctions that are named in the run without the fault
     """
 
     number: int
-    drawn: Drawn
+    drawn: RandomNetwork
     guilty: str
-    fault: Fault
-    where: Where
+    fault: PlantedFault
+    where: FaultPlace
     left_out: str = ""
     hit: bool = False
     innocent: bool = False
@@ -62,7 +62,7 @@ class Outcome:
     control: list[str] = field(default_factory=list)
 
 
-def outcome(seed: int, number: int, attempt: int = 0, most: int = 8) -> Outcome:
+def outcome(seed: int, number: int, attempt: int = 0, most: int = 8) -> FaultOutcome:
     """Case `number` of a seed, of 2 to `most` members; what is left out is drawn again as another attempt."""
     rng = np.random.default_rng([seed, number, attempt])
     kinds = tuple(FaultKind)
@@ -70,10 +70,10 @@ def outcome(seed: int, number: int, attempt: int = 0, most: int = 8) -> Outcome:
     coupling = COUPLINGS[number // len(kinds) % len(COUPLINGS)]
     drawn = draw(rng, int(rng.integers(2, most + 1)), str(rng.choice(list(KINDS))), coupling)
     guilty, fault, where = _planted(rng, drawn, kind)
-    found = Outcome(number, drawn, guilty, fault, where)
+    found = FaultOutcome(number, drawn, guilty, fault, where)
     with TemporaryDirectory() as folder:
         member, log = _run(drawn, Path(folder) / "a.parquet", guilty, fault, where)
-        found.left_out = LeftOut.REFUSED if log is None else _left_out(member)
+        found.left_out = Exclusion.REFUSED if log is None else _left_out(member)
         if log is None or found.left_out:
             return found
         _judge(found, log)
@@ -86,7 +86,9 @@ def _findings(log: Path) -> list[Finding]:
     return findings(blame(log))
 
 
-def _run(drawn: Drawn, log: Path, guilty: str, fault: Fault | None, where: Where) -> tuple[FaultyMember, Path | None]:
+def _run(
+    drawn: RandomNetwork, log: Path, guilty: str, fault: PlantedFault | None, where: FaultPlace
+) -> tuple[FaultyMember, Path | None]:
     """A run with an audit log, which may end early; the member with the fault, and the log if there is a step in it."""
     from phfmu.audit import AuditWriter
     from phfmu.network.couplings.choice.coupling_choice import named_coupling
@@ -100,7 +102,7 @@ def _run(drawn: Drawn, log: Path, guilty: str, fault: Fault | None, where: Where
         if name == guilty:
             stand[name] = FaultyMember(inner, fault, where)
         elif name not in drawn.booked:
-            stand[name] = FaultyMember(inner, None, Where.UNBOOKED)
+            stand[name] = FaultyMember(inner, None, FaultPlace.UNBOOKED)
     coupling = named_coupling(drawn.coupling, drawn.network, unconverged=drawn.unconverged)
     stepper: Any = Coupled(drawn.network, [*stand.values()], coupling.make)
     with AuditWriter(log) as sink:
@@ -109,15 +111,19 @@ def _run(drawn: Drawn, log: Path, guilty: str, fault: Fault | None, where: Where
     return stand[guilty], log if sink.rows else None
 
 
-def _planted(rng: np.random.Generator, drawn: Drawn, kind: FaultKind) -> tuple[str, Fault, Where]:
+def _planted(rng: np.random.Generator, drawn: RandomNetwork, kind: FaultKind) -> tuple[str, PlantedFault, FaultPlace]:
     """The guilty member, its fault and where that is."""
     names = list(drawn.dampers if kind is FaultKind.DAMPER else drawn.network.members)
     guilty = str(rng.choice(names))
-    where = Where.UNBOOKED if guilty not in drawn.booked else Where(rng.choice([Where.MEMBER, Where.CONNECTION]))
+    where = (
+        FaultPlace.UNBOOKED
+        if guilty not in drawn.booked
+        else FaultPlace(rng.choice([FaultPlace.MEMBER, FaultPlace.CONNECTION]))
+    )
     if kind is FaultKind.DAMPER:
         size = -float(rng.uniform(0.5, 5.0))
-        where = Where.MEMBER if where is Where.CONNECTION else where
-        return guilty, Fault(kind, size=size, parameter=drawn.dampers[guilty]), where
+        where = FaultPlace.MEMBER if where is FaultPlace.CONNECTION else where
+        return guilty, PlantedFault(kind, size=size, parameter=drawn.dampers[guilty]), where
     ends = {str(e) for j in drawn.network.junctions for e in j.ends}
     joined = [i for i, port in enumerate(drawn.ports(guilty)) if port in ends]
     pair, given = int(rng.choice(joined)), bool(rng.random() < 0.5)
@@ -135,29 +141,29 @@ def _planted(rng: np.random.Generator, drawn: Drawn, kind: FaultKind) -> tuple[s
     else:
         given, share = True, rng.uniform(0.05, 0.5)
         lost = frozenset(np.flatnonzero(rng.random(STEPS) < share).tolist())
-    return guilty, Fault(kind, pair, given, size, lost), where
+    return guilty, PlantedFault(kind, pair, given, size, lost), where
 
 
 def _left_out(member: FaultyMember) -> str:
     """Why the fault of the member cannot be told, after its run; "" if it can."""
     if member.fault and member.made <= ACTED * member.gross:
-        return LeftOut.IDLE
-    if member.where is not Where.UNBOOKED:
+        return Exclusion.IDLE
+    if member.where is not FaultPlace.UNBOOKED:
         return ""
     W = np.array(member.W)
     first, least = W[: len(W) // 2 + 1].min(), W.min()
     if least >= -member.had * (1.0 + ACTED):
-        return LeftOut.PASSIVE
+        return Exclusion.PASSIVE
     if least >= -KNOWN * member.gross:
-        return LeftOut.SMALL
-    return LeftOut.ENDS if first - least < -GOES_ON * least else ""
+        return Exclusion.SMALL
+    return Exclusion.ENDS if first - least < -GOES_ON * least else ""
 
 
-def _judge(found: Outcome, log: Path) -> None:
-    """Who is named first, and whether it is the one."""
+def _judge(found: FaultOutcome, log: Path) -> None:
+    """Judge whether the member or junction that is named first is the guilty one."""
     told = _findings(log)
     right = {("member", found.guilty)}
-    if found.where is Where.CONNECTION:
+    if found.where is FaultPlace.CONNECTION:
         port = found.drawn.ports(found.guilty)[found.fault.pair]
         right |= {("junction", j.name) for j in found.drawn.network.junctions if any(str(e) == port for e in j.ends)}
     found.hit = bool(told) and (told[0].subject, told[0].name) in right

@@ -35,8 +35,8 @@ class FaultKind(StrEnum):
     DAMPER = "negative damper"
 
 
-class Where(StrEnum):
-    """Where a fault is, by what the books of the member say of it."""
+class FaultPlace(StrEnum):
+    """The place of a fault, by what the books of the member say of it."""
 
     CONNECTION = "connection"
     MEMBER = "member with books"
@@ -48,7 +48,7 @@ FACTORS = (FaultKind.GAIN, FaultKind.UNIT, FaultKind.SIGN)
 
 
 @dataclass(frozen=True)
-class Fault:
+class PlantedFault:
     """A fault of the signal number `pair` of the ports of a member, on its input (`given`) or its output.
 
     size:  the factor of GAIN, UNIT and SIGN; the steps of DELAY; the quantum of QUANTISED; of DAMPER the factor on `parameter`
@@ -64,8 +64,8 @@ class Fault:
 
 
 @dataclass(frozen=True)
-class Past:
-    """What a faulty signal remembers, of the steps that were taken so far: values given, values used, outputs at ends, means."""
+class SignalHistory:
+    """The memory of a faulty signal over the steps so far: values given, values used, outputs at ends, means."""
 
     given: tuple[float, ...] = ()
     used: float = 0.0
@@ -84,19 +84,19 @@ class FaultyMember:
 
     saves, finishes = True, False
 
-    def __init__(self, inner: EngineMember, fault: Fault | None, where: Where):
+    def __init__(self, inner: EngineMember, fault: PlantedFault | None, where: FaultPlace):
         self.inner, self.where = inner, where
         if fault and fault.kind is FaultKind.DAMPER:
             p = inner.instance.parameters.copy()
             p[inner.parameter_places([fault.parameter])] *= fault.size
             inner.instance.set_parameters(p)
             fault = None
-        self.fault, self._past = fault, Past()
+        self.fault, self._past = fault, SignalHistory()
         self._u = inner.start_inputs()
         self._mean: Array | None = None
         self._pairs, self.W = np.zeros(inner.nu), [0.0]
         self.made, self.gross, self.had = 0.0, 0.0, float(inner.energies().sum())
-        self.booking = _unbooked(inner) if where is Where.UNBOOKED else inner.booking
+        self.booking = _unbooked(inner) if where is FaultPlace.UNBOOKED else inner.booking
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self.inner, name)
@@ -153,7 +153,7 @@ class FaultyMember:
         self.inner.do_step(t, h)
         mean, end = self.inner.output().copy(), self.inner.end_output().copy()
         ends = (*past.ends, float(start[f.pair])) if f else ()
-        if self.where is Where.UNBOOKED:
+        if self.where is FaultPlace.UNBOOKED:
             # outputs at both ends; a rounding that jumps within a step would leave nothing to iterate for
             self._mean = 0.5 * (before + self._told(end, ends, self._off(start)))
         else:
@@ -166,7 +166,7 @@ class FaultyMember:
             keep = int(f.size) + 1 if f.kind is FaultKind.DELAY else 1
             given = (*past.given, float(self._u[f.pair]))[-keep:]
             means = (*past.means, float(mean[f.pair]))[-keep:]
-            self._past = Past(given, float(u[f.pair]), ends[-keep:], means, past.steps + 1)
+            self._past = SignalHistory(given, float(u[f.pair]), ends[-keep:], means, past.steps + 1)
 
     def output(self) -> Array:
         return self.inner.output() if self._mean is None else self._mean
@@ -201,14 +201,14 @@ class FaultyMember:
         del self.W[steps:]
 
     def energies(self) -> Array:
-        return np.array([self.W[-1]]) if self.where is Where.UNBOOKED else self.inner.energies()
+        return np.array([self.W[-1]]) if self.where is FaultPlace.UNBOOKED else self.inner.energies()
 
     def ledger(self) -> dict[str, Array]:
-        if self.where is Where.UNBOOKED:
+        if self.where is FaultPlace.UNBOOKED:
             supplied = np.array([self._pairs.sum()])
             return {"stored": supplied, "dissipated": np.zeros(1), "supplied": supplied, "pairs": self._pairs.copy()}
         book = self.inner.ledger()
-        if self.where is Where.MEMBER and self.fault:
+        if self.where is FaultPlace.MEMBER and self.fault:
             book = dict(book)
             pairs = book["pairs"].copy()
             column = _columns(self.inner)[self.fault.pair]
@@ -230,5 +230,5 @@ def _columns(member: EngineMember) -> list[int]:
 
 
 def _unbooked(member: EngineMember) -> Booking:
-    """As of a unit of another tool: its free ports, estimated."""
+    """Booking of a member without books, like a unit of another tool: its free ports, estimated."""
     return Booking((member.name,), tuple(PortKey(member.name, p, quality=Quality.ESTIMATED) for p in member.places))

@@ -29,7 +29,7 @@ STEPS = 400
 
 
 @dataclass(frozen=True)
-class Drawn:
+class RandomNetwork:
     """A network with its coupling and step [s].
 
     unconverged:  what is done with steps that do not converge;  booked:  members that keep books;  driven:  the one with a
@@ -51,12 +51,12 @@ class Drawn:
         return [f"{member}.{p.name}" for p in declared.ports if p.external]
 
 
-def draw(rng: np.random.Generator, n: int, kind: str, coupling: str) -> Drawn:
+def draw(rng: np.random.Generator, n: int, kind: str, coupling: str) -> RandomNetwork:
     """A network of n members of a kind; each keeps books or not at even odds, the driven one does."""
-    return _Tree(rng, KINDS[kind]).grown(n, kind, coupling)
+    return _GrowingTree(rng, KINDS[kind]).grown(n, kind, coupling)
 
 
-class _Tree:
+class _GrowingTree:
     """A tree under construction: `values`: junction -> ends;  parameters around 1, so that links swing at about 1 rad/s."""
 
     def __init__(self, rng: np.random.Generator, kinds: tuple[str, ...]):
@@ -68,7 +68,7 @@ class _Tree:
     def _about(self, middle: float = 1.0, spread: float = 2.0) -> float:
         return float(middle * spread ** self._rng.uniform(-1.0, 1.0))
 
-    def grown(self, n: int, kind: str, coupling: str) -> Drawn:
+    def grown(self, n: int, kind: str, coupling: str) -> RandomNetwork:
         rng = self._rng
         self._store(str(rng.choice(self._kinds)))
         while len(self._members) < n:
@@ -85,7 +85,7 @@ class _Tree:
         repeats = coupling_table.COUPLINGS[coupling].kind.repeats
         step = float(rng.choice(STEP_SIZES[repeats]))
         unconverged = "accept" if repeats and rng.random() < 0.25 else "raise"
-        return Drawn(self._net, kind, coupling, unconverged, step, booked, driven, self._dampers)
+        return RandomNetwork(self._net, kind, coupling, unconverged, step, booked, driven, self._dampers)
 
     def _add(self, letter: str, member: PHDAE, damper: str = "") -> str:
         name = f"{letter}{sum(m[0] == letter for m in self._members) + 1}"
@@ -148,14 +148,14 @@ class _Tree:
 
 
 def _driven(member: PHDAE, frequency: float) -> PHDAE:
-    """With a sine at the port of its own, whose work is booked; frequency [rad/s]."""
+    """The member with a sine at the port of its own, whose work is booked; frequency [rad/s]."""
     port = member.ports[0]
     w = parameter("drive.w", frequency, unit="rad/s")
     source = Port("drive", port.domain, port.given, port.on, source=ca.SX(ca.sin(w.sx * time)))
     return replace(member, parameters=(*member.parameters, w), ports=(*member.ports, source))
 
 
-def members(drawn: Drawn) -> dict[str, Any]:
+def members(drawn: RandomNetwork) -> dict[str, Any]:
     """Members of the network that engines step; a member without books takes four steps of its own in each."""
     from phfmu.discretise.model import build_model
     from phfmu.engine.native.native import NativeInstance

@@ -6,9 +6,10 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
-from phfmu.studies.blame.campaign import LeftOut, Outcome, outcome
-from phfmu.studies.blame.faults import FaultKind, Where
+from phfmu.studies.blame.campaign import Exclusion, FaultOutcome, outcome
+from phfmu.studies.blame.faults import FaultKind, FaultPlace
 from phfmu.studies.blame.networks import COUPLINGS
+from phfmu.studies.tables import markdown_table
 
 CASES = 200
 #: draws of a case, after which none of its kind is expected to be admitted
@@ -59,17 +60,19 @@ at least 190 are hits, and at most 2 name an innocent one, or one in a run witho
 
 
 @dataclass
-class Found:
-    """What came of the cases of a seed; `left_out`: kind of fault and reason -> draws."""
+class CampaignResult:
+    """Outcomes of the cases of a seed; `left_out`: kind of fault and reason -> draws."""
 
     seed: int
-    outcomes: list[Outcome] = field(default_factory=list)
+    outcomes: list[FaultOutcome] = field(default_factory=list)
     left_out: Counter[tuple[FaultKind, str]] = field(default_factory=Counter)
 
 
-def measure(seed: int, cases: int = CASES, progress: Callable[[str], None] | None = None, most: int = 8) -> Found:
+def measure(
+    seed: int, cases: int = CASES, progress: Callable[[str], None] | None = None, most: int = 8
+) -> CampaignResult:
     """The cases of a seed, of networks of 2 to `most` members, each drawn until its fault is admitted."""
-    found = Found(seed)
+    found = CampaignResult(seed)
     for number in range(cases):
         if progress is not None:
             progress(f"seed {seed}: case {number + 1} of {cases} ...")
@@ -82,31 +85,31 @@ def measure(seed: int, cases: int = CASES, progress: Callable[[str], None] | Non
     return found
 
 
-def table(found: Found) -> str:
+def table(found: CampaignResult) -> str:
     """Rows by kind of fault, by where it is and by coupling, in Markdown."""
-    head = ["", "cases", "hits", "innocent named", "control named", *(f"left out: {r.value}" for r in LeftOut)]
-    rows = [head, ["---"] * len(head)]
+    head = ["", "cases", "hits", "innocent named", "control named", *(f"left out: {r.value}" for r in Exclusion)]
+    rows = []
     for kind in FaultKind:
-        left = [str(found.left_out[kind, r]) for r in LeftOut]
+        left = [str(found.left_out[kind, r]) for r in Exclusion]
         rows.append([kind.value, *_counts([o for o in found.outcomes if o.fault.kind is kind]), *left])
-    for where in Where:
-        rows.append([where.value, *_counts([o for o in found.outcomes if o.where is where]), *[""] * len(LeftOut)])
+    for where in FaultPlace:
+        rows.append([where.value, *_counts([o for o in found.outcomes if o.where is where]), *[""] * len(Exclusion)])
     for coupling in COUPLINGS:
         own = [o for o in found.outcomes if o.drawn.coupling == coupling]
-        rows.append([f"`{coupling}`", *_counts(own), *[""] * len(LeftOut)])
-    all_left = [str(sum(n for (_, why), n in found.left_out.items() if why == r)) for r in LeftOut]
+        rows.append([f"`{coupling}`", *_counts(own), *[""] * len(Exclusion)])
+    all_left = [str(sum(n for (_, why), n in found.left_out.items() if why == r)) for r in Exclusion]
     rows.append(["all", *_counts(found.outcomes), *all_left])
-    return "\n".join("| " + " | ".join(r) + " |" for r in rows)
+    return markdown_table(head, rows)
 
 
-def _counts(own: Sequence[Outcome]) -> list[str]:
+def _counts(own: Sequence[FaultOutcome]) -> list[str]:
     return [
         str(len(own)), str(sum(o.hit for o in own)), str(sum(o.innocent for o in own)),
         str(sum(bool(o.control) for o in own)),
     ]  # fmt: skip
 
 
-def summary(found: Found) -> str:
+def summary(found: CampaignResult) -> str:
     """A line: parts of the cases."""
     n = max(len(found.outcomes), 1)
     _, hits, innocent, control = map(int, _counts(found.outcomes))
@@ -116,7 +119,7 @@ def summary(found: Found) -> str:
     )
 
 
-def misses(found: Found) -> str:
+def misses(found: CampaignResult) -> str:
     """A line for each miss: what was planted, and what was said first."""
     lines = []
     for o in found.outcomes:
@@ -127,7 +130,7 @@ def misses(found: Found) -> str:
     return "\n".join(lines)
 
 
-def page(found: Sequence[Found]) -> str:
+def page(found: Sequence[CampaignResult]) -> str:
     """The page in Markdown."""
     seeds, cases = ",".join(str(f.seed) for f in found), max((len(f.outcomes) for f in found), default=0)
     text = [HEAD.format(arguments=f"--seeds {seeds} --cases {cases}")]

@@ -8,6 +8,8 @@ from enum import Enum
 
 
 class Verdict(Enum):
+    """Verdicts on a case: its criterion is met or not, could not have failed, or cannot be posed."""
+
     PASS = "pass"
     FAIL = "FAIL"
     AT_REST = "at rest"
@@ -15,7 +17,7 @@ class Verdict(Enum):
 
 
 @dataclass(frozen=True)
-class Outcome:
+class StressOutcome:
     """The outcome of a case in numbers, and whether it meets the criterion; `holds` is None where the case cannot be posed.
 
     `tested`: False if nothing moved, so that the criterion could not have failed.
@@ -27,44 +29,44 @@ class Outcome:
 
 
 @dataclass(frozen=True)
-class Case:
+class StressCase:
     """`target`: the component or scene it is about; `long`: takes more than some seconds, run on request only."""
 
     target: str
     name: str
     criterion: str
-    measure: Callable[[], Outcome]
+    measure: Callable[[], StressOutcome]
     long: bool = False
 
 
 @dataclass(frozen=True)
-class Line:
+class StressResult:
     """A case and its answer."""
 
-    case: Case
+    case: StressCase
     happened: str
     verdict: Verdict
 
 
-def answer(case: Case) -> Line:
+def answer(case: StressCase) -> StressResult:
     """Run a case; an exception that it does not expect is a failure with its words."""
     try:
         found = case.measure()
     except Exception as error:
-        return Line(case, f"{type(error).__name__}: {error}", Verdict.FAIL)
+        return StressResult(case, f"{type(error).__name__}: {error}", Verdict.FAIL)
     if found.holds is None:
-        return Line(case, found.happened, Verdict.NOT_SUPPORTED)
+        return StressResult(case, found.happened, Verdict.NOT_SUPPORTED)
     if found.holds and not found.tested:
-        return Line(case, f"at rest: nothing was tested ({found.happened})", Verdict.AT_REST)
-    return Line(case, found.happened, Verdict.PASS if found.holds else Verdict.FAIL)
+        return StressResult(case, f"at rest: nothing was tested ({found.happened})", Verdict.AT_REST)
+    return StressResult(case, found.happened, Verdict.PASS if found.holds else Verdict.FAIL)
 
 
-def not_supported(reason: str) -> Callable[[], Outcome]:
+def not_supported(reason: str) -> Callable[[], StressOutcome]:
     """A case that cannot be posed, with the reason."""
-    return lambda: Outcome(reason, None)
+    return lambda: StressOutcome(reason, None)
 
 
-def refused(call: Callable[[], object], kind: type[Exception], word: str, *words: str) -> Outcome:
+def refused(call: Callable[[], object], kind: type[Exception], word: str, *words: str) -> StressOutcome:
     """Holds if `call` raises an error of `kind` whose text, which is what a user reads, contains the words."""
     try:
         call()
@@ -72,8 +74,8 @@ def refused(call: Callable[[], object], kind: type[Exception], word: str, *words
         text = str(error.args[0]) if isinstance(error, KeyError) and error.args else str(error)
         missing = [w for w in (word, *words) if w not in text]
         note = f" (does not say {', '.join(missing)})" if missing else ""
-        return Outcome(f"{type(error).__name__}: {_first(text)}{note}", not missing)
-    return Outcome("was accepted", False)
+        return StressOutcome(f"{type(error).__name__}: {_first(text)}{note}", not missing)
+    return StressOutcome("was accepted", False)
 
 
 def _first(text: str) -> str:

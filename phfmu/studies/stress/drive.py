@@ -25,7 +25,7 @@ BEYOND = {"restarts": "restart", "line_searches": "line search", "substeps": "su
 
 
 @dataclass(frozen=True)
-class Record:
+class StepRecord:
     """n steps: x (n x nx), a, H (n x members), position and velocity constraints, worst balance, work a step.
 
     `balance`: largest |stored + dissipated - supplied| of a member and step over the energy in play (H of all members,
@@ -80,7 +80,7 @@ def instance(declaration: PHDAE, order: int = 2, scheme: Any = "auto", gradient:
     return stepped(model, NativeInstance)
 
 
-def record(unit: Any, h: float, n: int, t0: float = 0.0, inputs: Array | None = None) -> Record:
+def record(unit: Any, h: float, n: int, t0: float = 0.0, inputs: Array | None = None) -> StepRecord:
     """n steps of length h; StepFailure as it comes."""
     model = unit.model
     before = unit.counts
@@ -96,7 +96,7 @@ def record(unit: Any, h: float, n: int, t0: float = 0.0, inputs: Array | None = 
     after = unit.counts
     extra = [counted(after[k] - before[k], word) for k, word in BEYOND.items() if after[k] != before[k]]
     sweeps = after.get("sweeps", 0) - before.get("sweeps", 0)  # none in the Python engine
-    return Record(
+    return StepRecord(
         r["x"], r["a"], np.vstack([start["H"], r["energy"]]),
         float(checks[:, levels == Level.POSITION].max(initial=0.0)),
         float(checks[:, levels == Level.VELOCITY].max(initial=0.0)),
@@ -125,7 +125,7 @@ def _by_steps(unit: Any, t0: float, h: float, n: int) -> dict[str, Array]:
     return columns | {"iterations": np.array([unit.counts["iterations"] - before])}
 
 
-def effort(r: Record) -> str:
+def effort(r: StepRecord) -> str:
     """Sweeps of the Schur stepper and iterations of Newton's method a step, those that occur, and what was needed beyond."""
     work = [f"{v:.1f} {name}" for v, name in ((r.sweeps, "sweeps"), (r.iterations, "iterations")) if v] or [
         "0 iterations"

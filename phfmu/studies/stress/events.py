@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from phfmu.studies.stress.case import Case, Outcome, refused
+from phfmu.studies.stress.case import StressCase, StressOutcome, refused
 from phfmu.studies.stress.drive import instance
 from phfmu.words import counted
 
@@ -45,7 +45,7 @@ def late(happened: list[Any], times: list[float]) -> float:
     return max((abs(e.t - t) for e, t in zip(happened, times, strict=True)), default=0.0)
 
 
-def touch(depth: float, order: int) -> Outcome:
+def touch(depth: float, order: int) -> StressOutcome:
     """cos t turns `depth` beyond a guard, between step ends; below zero: before it."""
     from phfmu import PHDAE, Guard, StateEvent, energy, skew, state
 
@@ -55,13 +55,13 @@ def touch(depth: float, order: int) -> Outcome:
     energies, structure = (energy(q**2 / 2), energy(p**2 / 2)), (skew(q, p, 1.0),)
     turning = PHDAE("turning", states=(q, p), energies=energies, structure=structure, state_events=(passed,))
     happened, missing = landed(instance(turning, order), h, 20)
-    return Outcome(
+    return StressOutcome(
         f"{counted(len(happened), 'event')}; energy {missing:.1e} H0",
         len(happened) == 2 * (depth > 0) and missing < 1e-14,
     )
 
 
-def together() -> Outcome:
+def together() -> StressOutcome:
     """A rigid bar of 1 and 3 kg falls flat on both ends, e = 0.5."""
     from phfmu import Guard, Jump, StateEvent
     from phfmu.components.mechanical.multibody import Multibody
@@ -83,13 +83,13 @@ def together() -> Outcome:
     lost = float(happened[0].lost.sum()) if happened else 0.0
     off = abs(lost / (0.75 * 4 * G) - 1)
     one = [h.events for h in happened] == [(0, 1)]
-    return Outcome(
+    return StressOutcome(
         f"{counted(len(happened), 'event')} of {len(happened[0].events)} guards; loss {off:.1e} off",
         one and off < 1e-12,
     )
 
 
-def rests() -> Outcome:
+def rests() -> StressOutcome:
     """Bounces end at FALL (1 + e)/(1 - e), and the ball has lost all it had."""
     unit = instance(ball(0.5), 4)
     happened, missing = landed(unit, 0.1, 20)
@@ -97,10 +97,10 @@ def rests() -> Outcome:
     left = abs(unit.signal("H").sum()) / G
     said = f"{counted(len(happened), 'impact')}, at rest {end:.1e} s before the bounces end"
     said += f"; {left:.1e} H0 left, energy {missing:.1e} H0"
-    return Outcome(said, 0 <= end < 1e-6 and left < 1e-12 and missing < 1e-13)
+    return StressOutcome(said, 0 <= end < 1e-6 and left < 1e-12 and missing < 1e-13)
 
 
-def endless() -> Outcome:
+def endless() -> StressOutcome:
     from phfmu import StepFailure
 
     unit = instance(ball(0.5, rest=False), 4)
@@ -114,7 +114,7 @@ def relay(width: float) -> Any:
     return builder("two_point_control")(100 - width / 2, 100 + width / 2).declaration()
 
 
-def busy() -> Outcome:
+def busy() -> StressOutcome:
     """Ten switchings a step, at the times of the closed form."""
     width, tau = 0.1, 0.05 / 0.02
     a, b = 100 - width / 2, 100 + width / 2
@@ -123,13 +123,13 @@ def busy() -> Outcome:
     happened, missing = landed(instance(relay(width), 6), 0.02, 40)
     wanted = [t for t in times if t < 0.8]
     off = late(happened, wanted)
-    return Outcome(
+    return StressOutcome(
         f"{counted(len(happened), 'event')} in 40 steps, times {off:.1e} s off; energy {missing:.1e} H0",
         off < 1e-11 and missing < 1e-12,
     )
 
 
-def chatter() -> Outcome:
+def chatter() -> StressOutcome:
     from phfmu import StepFailure
 
     return refused(
@@ -137,7 +137,7 @@ def chatter() -> Outcome:
     )
 
 
-def neutral() -> Outcome:
+def neutral() -> StressOutcome:
     """Three poles to an isolated star point: one opens alone, the other two carry one current and open together."""
     from phfmu import ELECTRICAL, PHDAE, Network, Port, algebraic
     from phfmu.components.electrical.breaker import breaker
@@ -157,10 +157,10 @@ def neutral() -> Outcome:
     told = [" and ".join(names[i].removeprefix("line.").removesuffix(".zero") for i in h.events) for h in happened]
     lost = max((abs(float(h.lost.sum())) for h in happened), default=1.0)
     alone = [len(h.events) for h in happened] == [1, 2] and not unit.x.any()
-    return Outcome(f"{', then '.join(told)}; {lost:.1e} J lost, 0 A after it for 0.03 s", alone and lost < 1e-20)
+    return StressOutcome(f"{', then '.join(told)}; {lost:.1e} J lost, 0 A after it for 0.03 s", alone and lost < 1e-20)
 
 
-def stiff(k: float) -> Outcome:
+def stiff(k: float) -> StressOutcome:
     """A wagon of 2 kg runs onto one of 1 kg that a spring of k N/m holds; the step is far above its period."""
     from phfmu import Network
     from phfmu.components.mechanical.contacts import end_stop
@@ -176,11 +176,11 @@ def stiff(k: float) -> Outcome:
     happened, missing = landed(unit, 0.01, 40)
     off = abs(float(happened[0].lost.sum()) * 3 - 1)  # m1 m2/(2 (m1 + m2)) v^2 = 1/3 J
     back = float(unit.x[[n for v in unit.model.declaration.states for n in v.names()].index("wagon.v")])
-    return Outcome(f"loss {off:.1e} off its formula, thrown back with {-back:.6f} m/s; energy {missing:.1e} H0",
+    return StressOutcome(f"loss {off:.1e} off its formula, thrown back with {-back:.6f} m/s; energy {missing:.1e} H0",
                    off < 1e-12 and isclose(back, -2 / 3, rel_tol=1e-5) and missing < 1e-12)  # fmt: skip
 
 
-def mass_ratio(m: float) -> Outcome:
+def mass_ratio(m: float) -> StressOutcome:
     """The first wagon of `hard_stop` meets one of m kg."""
     from phfmu.components.library import build
 
@@ -188,49 +188,55 @@ def mass_ratio(m: float) -> Outcome:
     happened, missing = landed(instance(declaration, 6), 0.01, 20)
     lost, wanted = float(happened[0].lost.sum()), 2 * m / (2 * (2 + m)) * 100 * (0.15**2 - 0.05**2)
     off = abs(lost / wanted - 1)
-    return Outcome(f"loss {off:.1e} off its formula; energy {missing:.1e} H0", off < 1e-8 and missing < 1e-12)
+    return StressOutcome(f"loss {off:.1e} off its formula; energy {missing:.1e} H0", off < 1e-8 and missing < 1e-12)
 
 
-def at_step_end(parts: float) -> Outcome:
+def at_step_end(parts: float) -> StressOutcome:
     """The first impact after this many steps: at the end of one, or at a part of the first."""
     happened, _ = landed(instance(ball(0.5), 2), FALL / parts, max(1, round(parts)))
     soon = [h for h in happened if h.t < 1.5 * FALL]
     off = late(soon, [FALL])
-    return Outcome(f"{counted(len(soon), 'impact')}, {off:.1e} s off", off < 1e-14)
+    return StressOutcome(f"{counted(len(soon), 'impact')}, {off:.1e} s off", off < 1e-14)
 
 
-def many(n: int) -> Outcome:
+def many(n: int) -> StressOutcome:
     """An elastic ball, one bounce a step or two, at all places of a step."""
     h = 2 * FALL * 0.99
     happened, missing = landed(instance(ball(1.0), 2), h, round(2 * n * FALL / h) + 1)
     times = [FALL * (2 * i + 1) for i in range(len(happened))]
     off = late(happened, times) / times[-1]
-    return Outcome(f"{len(happened)} events, times {off:.1e} of the last off; energy {missing:.1e} H0",
+    return StressOutcome(f"{len(happened)} events, times {off:.1e} of the last off; energy {missing:.1e} H0",
                    n <= len(happened) <= n + 1 and off < 1e-10 and missing < 1e-9)  # fmt: skip
 
 
 CASES = (
-    Case("events", "a turn 1e-6 beyond a guard, order 4", "2 events, energy <= 1e-14 H0", lambda: touch(1e-6, 4)),
-    Case("events", "a turn 1e-6 before a guard, order 6", "no event, energy <= 1e-14 H0", lambda: touch(-1e-6, 6)),
-    Case("events", "a bar that falls flat on both ends", "one event, loss to 1e-12", together),
-    Case("events", "a ball comes to rest (Zeno)", "within 1e-6 s before the last bounce, nothing left", rests),
-    Case("events", "bounces without end and without `rest`", "refused with the event and the remedy", endless),
-    Case("events", "a relay that switches 3 times a step", "all events, times to 1e-11 s", busy),
-    Case("events", "a relay that chatters: hysteresis 1e-6 rad/s", "refused with its name", chatter),
-    Case("events", "poles to an isolated star point open", "one, then two as one event; no current, no loss", neutral),
-    Case(
+    StressCase("events", "a turn 1e-6 beyond a guard, order 4", "2 events, energy <= 1e-14 H0", lambda: touch(1e-6, 4)),
+    StressCase(
+        "events", "a turn 1e-6 before a guard, order 6", "no event, energy <= 1e-14 H0", lambda: touch(-1e-6, 6)
+    ),
+    StressCase("events", "a bar that falls flat on both ends", "one event, loss to 1e-12", together),
+    StressCase("events", "a ball comes to rest (Zeno)", "within 1e-6 s before the last bounce, nothing left", rests),
+    StressCase("events", "bounces without end and without `rest`", "refused with the event and the remedy", endless),
+    StressCase("events", "a relay that switches 3 times a step", "all events, times to 1e-11 s", busy),
+    StressCase("events", "a relay that chatters: hysteresis 1e-6 rad/s", "refused with its name", chatter),
+    StressCase(
+        "events", "poles to an isolated star point open", "one, then two as one event; no current, no loss", neutral
+    ),
+    StressCase(
         "events",
         "contact with a body on a spring of 1e10 N/m, h = 0.01 s",
         "loss to 1e-12, thrown back, energy <= 1e-12 H0",
         lambda: stiff(1e10),
     ),
-    Case("events", "impact of 2 kg on 1e-6 kg", "loss to 1e-8, energy <= 1e-12 H0", lambda: mass_ratio(1e-6)),
-    Case("events", "impact of 2 kg on 1e6 kg", "loss to 1e-8, energy <= 1e-12 H0", lambda: mass_ratio(1e6)),
-    Case("events", "an impact at the end of step 8", "happens once, to 1e-14 s", lambda: at_step_end(8.0)),
-    Case("events", "an impact at 0.3 of the first step", "happens once, to 1e-14 s", lambda: at_step_end(0.3)),
-    Case("events", "an impact at 1e-4 of the first step", "happens once, to 1e-14 s", lambda: at_step_end(1e-4)),
-    Case("events", "1e4 impacts", "none lost or doubled, times to 1e-10, energy <= 1e-9 H0", lambda: many(10_000)),
-    Case(
+    StressCase("events", "impact of 2 kg on 1e-6 kg", "loss to 1e-8, energy <= 1e-12 H0", lambda: mass_ratio(1e-6)),
+    StressCase("events", "impact of 2 kg on 1e6 kg", "loss to 1e-8, energy <= 1e-12 H0", lambda: mass_ratio(1e6)),
+    StressCase("events", "an impact at the end of step 8", "happens once, to 1e-14 s", lambda: at_step_end(8.0)),
+    StressCase("events", "an impact at 0.3 of the first step", "happens once, to 1e-14 s", lambda: at_step_end(0.3)),
+    StressCase("events", "an impact at 1e-4 of the first step", "happens once, to 1e-14 s", lambda: at_step_end(1e-4)),
+    StressCase(
+        "events", "1e4 impacts", "none lost or doubled, times to 1e-10, energy <= 1e-9 H0", lambda: many(10_000)
+    ),
+    StressCase(
         "events",
         "1e5 impacts",
         "none lost or doubled, times to 1e-10, energy <= 1e-9 H0",

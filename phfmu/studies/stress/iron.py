@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from phfmu.studies.stress.case import Case, Outcome
+from phfmu.studies.stress.case import StressCase, StressOutcome
 from phfmu.studies.stress.drive import instance, record
 
 #: peak of the source's voltage [V]
@@ -21,7 +21,7 @@ def _declared(name: str, **arguments: Any) -> Any:
     return build(name, **arguments).declaration()
 
 
-def resonance(phase: float, least: float, most: float, h: float = 2e-5, order: int = 2) -> Outcome:
+def resonance(phase: float, least: float, most: float, h: float = 2e-5, order: int = 2) -> StressOutcome:
     """The voltage of the core over the last third of 0.3 s, as a part of the source's, between `least` and `most`."""
     d = _declared("ferroresonance", phase=phase)
     r = record(instance(d, order), h, round(0.3 / h))
@@ -29,10 +29,10 @@ def resonance(phase: float, least: float, most: float, h: float = 2e-5, order: i
     last = r.x[-round(0.1 / h) :, names.index("stray.charge")] / 0.1e-6
     found = float(np.abs(last).max()) / PEAK
     text = f"{found:.2f} times the voltage of the source; {r.iterations:.1f} iterations a step; balance {r.balance:.1e}"
-    return Outcome(text, least < found < most and r.balance <= 1e-11)
+    return StressOutcome(text, least < found < most and r.balance <= 1e-11)
 
 
-def energised(residual: float, h: float = 1e-4) -> Outcome:
+def energised(residual: float, h: float = 1e-4) -> StressOutcome:
     """The largest magnetising current over 0.2 s, in parts of the rated peak."""
     d = _declared("inrush", residual=residual)
     r = record(instance(d), h, round(0.2 / h))
@@ -40,7 +40,7 @@ def energised(residual: float, h: float = 1e-4) -> Outcome:
     flux = r.x[:, [j for j, n in enumerate(names) if n.startswith("unit.linkage")]]
     found = float(np.abs(flux).max()) / (400.0 * sqrt(2.0 / 3.0) / (100.0 * pi))
     text = f"flux of {found:.2f} times the rated peak; {r.iterations:.1f} iterations a step; balance {r.balance:.1e}"
-    return Outcome(text, found > 1.5 and r.balance <= 1e-11)
+    return StressOutcome(text, found > 1.5 and r.balance <= 1e-11)
 
 
 def rates(phase: float) -> Callable[[float, np.ndarray], list[float]]:
@@ -72,7 +72,7 @@ def rates(phase: float) -> Callable[[float, np.ndarray], list[float]]:
     return at
 
 
-def peer(order: int, h: float, most: float, stop: float = 0.03) -> Outcome:
+def peer(order: int, h: float, most: float, stop: float = 0.03) -> StressOutcome:
     """The flux at `stop` against DOP853 at 1e-11, as a part of its rated peak."""
     from scipy.integrate import solve_ivp
 
@@ -82,16 +82,16 @@ def peer(order: int, h: float, most: float, stop: float = 0.03) -> Outcome:
     names = [n for v in d.states for n in v.names()]
     error = abs(float(r.x[-1, names.index("iron.flux")]) - exact) * 100.0 * pi / PEAK
     text = f"error of the flux {error:.1e} of the rated peak; balance {r.balance:.1e}"
-    return Outcome(text, error <= most and r.balance <= 1e-11)
+    return StressOutcome(text, error <= most and r.balance <= 1e-11)
 
 
 CASES = (
-    Case("ferroresonance", "switched at zero voltage", "above 1.8 times the source, balance <= 1e-11",
-         lambda: resonance(-pi / 2.0, 1.8, 3.0)),
-    Case("ferroresonance", "switched at the peak", "below the source, balance <= 1e-11", lambda: resonance(0.0, 0.5, 1.0)),
-    Case("ferroresonance", "h = 1 ms, past all ringing", "finite, balance <= 1e-11",
-         lambda: resonance(-pi / 2.0, 0.0, 100.0, h=1e-3)),
-    Case("ferroresonance", "against DOP853, order 6", "error <= 1e-6", lambda: peer(6, 1e-5, 1e-6)),
-    *(Case("inrush", f"residual flux of {x:g}", "flux above 1.5, balance <= 1e-11", lambda x=x: energised(x))
+    StressCase("ferroresonance", "switched at zero voltage", "above 1.8 times the source, balance <= 1e-11",
+               lambda: resonance(-pi / 2.0, 1.8, 3.0)),
+    StressCase("ferroresonance", "switched at the peak", "below the source, balance <= 1e-11", lambda: resonance(0.0, 0.5, 1.0)),
+    StressCase("ferroresonance", "h = 1 ms, past all ringing", "finite, balance <= 1e-11",
+               lambda: resonance(-pi / 2.0, 0.0, 100.0, h=1e-3)),
+    StressCase("ferroresonance", "against DOP853, order 6", "error <= 1e-6", lambda: peer(6, 1e-5, 1e-6)),
+    *(StressCase("inrush", f"residual flux of {x:g}", "flux above 1.5, balance <= 1e-11", lambda x=x: energised(x))
       for x in (0.0, 0.8)),
 )  # fmt: skip

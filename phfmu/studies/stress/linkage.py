@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from phfmu.studies.stress.case import Case, Outcome
+from phfmu.studies.stress.case import StressCase, StressOutcome
 from phfmu.studies.stress.drive import effort, instance, record
 
 TARGET = "four_bar"
@@ -47,7 +47,7 @@ def pendulum(times: np.ndarray) -> np.ndarray:
     return s.y[0]
 
 
-def flat(n: int, h: float, order: int) -> Outcome:
+def flat(n: int, h: float, order: int) -> StressOutcome:
     """20 s with some ten turns: the links stay parallel and follow the pendulum."""
     r = record(instance(cranks(n), order=order), h, round(20.0 / h))
     q = r.x[:, : 2 * (n + 1)].reshape(-1, n + 1, 2) - np.column_stack([np.arange(n + 1), np.zeros(n + 1)])
@@ -56,38 +56,40 @@ def flat(n: int, h: float, order: int) -> Outcome:
     error = float(np.hypot(q[:, 0, 0] - np.sin(theta), q[:, 0, 1] - np.cos(theta)).max())
     turns = float(np.abs(theta).max() / (2 * np.pi))
     text = f"{turns:.1f} turns; parallel to {parallel:.1e}, position error {error:.1e} m, energy {r.drift:.1e} H0; {effort(r)}"
-    return Outcome(text, parallel <= 1e-6 and error <= 1e-3)
+    return StressOutcome(text, parallel <= 1e-6 and error <= 1e-3)
 
 
-def stopped_flat() -> Outcome:
+def stopped_flat() -> StressOutcome:
     """A step that ends 3e-5 rad from the flat position, where the constraints have lost rank to rounding."""
     from phfmu.outcome.status import StepFailure, remedy
 
     try:
         return flat(1, 0.0005, 6)
     except StepFailure as failure:
-        return Outcome(
+        return StressOutcome(
             f"typed error: {failure}", failure.equation.startswith("equation of lambda") and bool(remedy(failure))
         )
 
 
-def short_steps(h: float, order: int) -> Outcome:
+def short_steps(h: float, order: int) -> StressOutcome:
     """The heavy top about its centre, a singular mass matrix; delta of the factors beside h^2."""
     from phfmu.components.mechanical.heavy_top import heavy_top
 
     r = record(instance(heavy_top(precession=1.0), order=order), h, 20)
     text = f"{effort(r)}; balance {r.balance:.1e}, g {r.position:.1e}, Dg v {r.velocity:.1e}"
-    return Outcome(
+    return StressOutcome(
         text, r.position <= 1e-12 and r.velocity <= 1e-10 and r.balance <= 1e-11 and "substep" not in r.solved
     )
 
 
 CRITERION = "parallel to 1e-6, error <= 1e-3"
 CASES = (
-    *(Case(TARGET, f"{n} windows through the flat position, h = {h} s, order {o}", CRITERION, lambda n=n, h=h, o=o: flat(n, h, o))
+    *(StressCase(TARGET, f"{n} windows through the flat position, h = {h} s, order {o}", CRITERION,
+                 lambda n=n, h=h, o=o: flat(n, h, o))
       for n, h, o in ((2, 0.002, 2), (2, 0.002, 6), (2, 0.001, 6), (40, 0.002, 2))),
-    Case(TARGET, "1 window, h = 0.0005 s, order 6: a step ends 3e-5 rad from flat", f"{CRITERION}; or an error with the row",
-         stopped_flat),
-    *(Case("heavy_top", f"20 steps of {h:g} s from the start, order {o}", "g <= 1e-12, Dg v <= 1e-10, balance <= 1e-11, unhalved",
-           lambda h=h, o=o: short_steps(h, o)) for h, o in ((1e-6, 2), (1e-7, 6))),
+    StressCase(TARGET, "1 window, h = 0.0005 s, order 6: a step ends 3e-5 rad from flat",
+               f"{CRITERION}; or an error with the row", stopped_flat),
+    *(StressCase("heavy_top", f"20 steps of {h:g} s from the start, order {o}",
+                 "g <= 1e-12, Dg v <= 1e-10, balance <= 1e-11, unhalved",
+                 lambda h=h, o=o: short_steps(h, o)) for h, o in ((1e-6, 2), (1e-7, 6))),
 )  # fmt: skip

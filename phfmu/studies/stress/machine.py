@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from phfmu.declare.phdae import PHDAE
-from phfmu.studies.stress.case import Case, Outcome, not_supported, refused
+from phfmu.studies.stress.case import StressCase, StressOutcome, not_supported, refused
 from phfmu.studies.stress.drive import effort, instance, record
 
 TARGET = "synchronous_machine"
@@ -44,17 +44,17 @@ def voltages(unit: Any, n: int, amplitude: float) -> np.ndarray:
 
 def driven(
     factors: dict[str, float] | None = None, amplitude: float = 1.0, n: int = 1000, field: bool = True
-) -> Outcome:
+) -> StressOutcome:
     """n steps of 0.1 ms with scaled values: the balance in units of the energy in play, the iterations, the extremes."""
     d = scaled(machine(), factors or {})
     unit = instance(d if field else d.with_starts({"field.v": 0.0}))
     r = record(unit, H, n, inputs=voltages(unit, n, amplitude))
     speed = r.x[:, -2] / float(unit.parameters[0])
     text = f"balance {r.balance:.1e}, speed {speed.min():.4g} to {speed.max():.4g} rad/s; {effort(r)}"
-    return Outcome(text, r.finite and r.balance <= 1e-11)
+    return StressOutcome(text, r.finite and r.balance <= 1e-11)
 
 
-def switched(resistance: float, phases: int) -> Outcome:
+def switched(resistance: float, phases: int) -> StressOutcome:
     """The two-machine scene with a fault of `resistance` ohm on some phases."""
     from phfmu.components.scenes.electrical.two_machine import two_machine
     from phfmu.network.couplings.monolithic import Monolithic
@@ -75,15 +75,15 @@ def switched(resistance: float, phases: int) -> Outcome:
     tau = resistance * C
     text = f"RC time {tau:.1e} s; worst ledger {worst:.1e}; bus voltage jumps by up to {ringing:.3g} V a step; "
     text += f"{result.iterations / result.steps:.1f} iterations a step"
-    return Outcome(text, worst <= 1e-11 and bool(np.isfinite(result.values).all()))
+    return StressOutcome(text, worst <= 1e-11 and bool(np.isfinite(result.values).all()))
 
 
-def wide() -> Outcome:
+def wide() -> StressOutcome:
     """60 s at 0.1 ms: momentum 1e7, angle 2e4 rad, time constants from 0.03 to 8 s."""
     return driven(n=600_000)
 
 
-def impossible(words: str, **changes: Any) -> Outcome:
+def impossible(words: str, **changes: Any) -> StressOutcome:
     """Data that no machine has: refused with these words."""
     from phfmu.components.electrical.machines.machine_data import MachineDataError
 
@@ -92,20 +92,20 @@ def impossible(words: str, **changes: Any) -> Outcome:
 
 BALANCE = "balance <= 1e-11"
 CASES = (
-    Case(TARGET, "short circuit at the terminals", BALANCE, lambda: driven(amplitude=0.0)),
-    Case(TARGET, "twice the rated speed", BALANCE, lambda: driven({"p": 2.0})),
-    Case(TARGET, "standstill at full voltage", BALANCE, lambda: driven({"p": 0.0})),
-    Case(TARGET, "resistances x 1e-6", BALANCE, lambda: driven(dict.fromkeys(("Ra", "R_f", "R_kd", "R_kq"), 1e-6))),
-    *(Case(TARGET, f"inertia x {f:g}, voltage halved", BALANCE,
-           lambda f=f: driven({"J": f, "p": f}, amplitude=0.5)) for f in (1e-2, 1e-4, 1e-6)),
-    Case(TARGET, "no inertia", "refused", lambda: impossible("J = 0", J=0.0)),
-    Case(TARGET, "negative inertia", "refused", lambda: impossible("J = -1", J=-1.0)),
-    Case(TARGET, "negative resistance", "refused", lambda: impossible("Ra = -0.001", Ra=-1e-3)),
-    Case(TARGET, "singular inductances", "refused", lambda: impossible("d-axis block of L", Ld=0.0)),
-    Case(TARGET, "no field voltage, no flux", BALANCE, lambda: driven({"psi": 0.0}, field=False)),
-    *(Case("two_machine", f"fault of {r:g} ohm, {n} phase{'s' if n > 1 else ''}", "ledger <= 1e-11, finite",
-           lambda r=r, n=n: switched(r, n)) for r, n in ((0.05, 3), (0.005, 3), (1e-6, 3), (0.05, 1))),
-    Case(TARGET, "60 s at 0.1 ms", BALANCE, wide),
-    Case(TARGET, "open phase", "index change handled", not_supported(
+    StressCase(TARGET, "short circuit at the terminals", BALANCE, lambda: driven(amplitude=0.0)),
+    StressCase(TARGET, "twice the rated speed", BALANCE, lambda: driven({"p": 2.0})),
+    StressCase(TARGET, "standstill at full voltage", BALANCE, lambda: driven({"p": 0.0})),
+    StressCase(TARGET, "resistances x 1e-6", BALANCE, lambda: driven(dict.fromkeys(("Ra", "R_f", "R_kd", "R_kq"), 1e-6))),
+    *(StressCase(TARGET, f"inertia x {f:g}, voltage halved", BALANCE,
+                 lambda f=f: driven({"J": f, "p": f}, amplitude=0.5)) for f in (1e-2, 1e-4, 1e-6)),
+    StressCase(TARGET, "no inertia", "refused", lambda: impossible("J = 0", J=0.0)),
+    StressCase(TARGET, "negative inertia", "refused", lambda: impossible("J = -1", J=-1.0)),
+    StressCase(TARGET, "negative resistance", "refused", lambda: impossible("Ra = -0.001", Ra=-1e-3)),
+    StressCase(TARGET, "singular inductances", "refused", lambda: impossible("d-axis block of L", Ld=0.0)),
+    StressCase(TARGET, "no field voltage, no flux", BALANCE, lambda: driven({"psi": 0.0}, field=False)),
+    *(StressCase("two_machine", f"fault of {r:g} ohm, {n} phase{'s' if n > 1 else ''}", "ledger <= 1e-11, finite",
+                 lambda r=r, n=n: switched(r, n)) for r, n in ((0.05, 3), (0.005, 3), (1e-6, 3), (0.05, 1))),
+    StressCase(TARGET, "60 s at 0.1 ms", BALANCE, wide),
+    StressCase(TARGET, "open phase", "index change handled", not_supported(
         "opening a phase changes the index; model the switch as a conductance (fault_resistor)")),
 )  # fmt: skip

@@ -12,14 +12,14 @@ from phfmu.studies.stress import (
     redundant,
     steps,
 )
-from phfmu.studies.stress.case import Case
+from phfmu.studies.stress.case import StressCase
 from phfmu.studies.stress.members import coupled, couplings, crash, units
 
 #: scenes and components whose steps are put to the test without a target
 STEPPED = ("smib", "four_particle", "dc_motor")
 
 
-def cases(target: str | None) -> list[Case]:
+def cases(target: str | None) -> list[StressCase]:
     """All cases, or those about one target: its steps, and the cases with its name."""
     from phfmu.target import require_known, scene
 

@@ -8,7 +8,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from phfmu.studies.stress.case import Case, Outcome
+from phfmu.studies.stress.case import StressCase, StressOutcome
 from phfmu.studies.stress.drive import instance
 from phfmu.studies.stress.members.couplings import coupled, oscillator, run
 
@@ -32,7 +32,7 @@ def plates(angle: float) -> Any:
     )  # fmt: skip
 
 
-def between(angle: float, hard: bool) -> Outcome:
+def between(angle: float, hard: bool) -> StressOutcome:
     """Held, or falling as by hand where one constraint rests.
 
     `hard`: or an error that names a row, or a ledger that does not close.
@@ -46,7 +46,7 @@ def between(angle: float, hard: bool) -> Outcome:
         result = run(Monolithic(unit.model, unit), H * STEPS, H)
     except StepFailure as failure:
         told = f"rank {rank}; {failure.status.name.lower().replace('_', ' ')} at {failure.equation}"
-        return Outcome(told, hard and ("one" in failure.equation or "two" in failure.equation))
+        return StressOutcome(told, hard and ("one" in failure.equation or "two" in failure.equation))
     t = H * np.arange(STEPS + 1)
     x, z = (result.values[:, result.names.index(n)] for n in ("q[1]", "q[3]"))
     # midpoint rule by hand: turns by 2 atan(w h/2) a step, free fall is exact
@@ -57,23 +57,23 @@ def between(angle: float, hard: bool) -> Outcome:
     text = (
         f"rank {rank}; {out:.1e} m from {'the edge' if rank == 2 else 'free fall'}, along it {off:.1e} m; ledger {told}"
     )
-    return Outcome(text, off <= MOST and (out <= 1e-7 if closed else hard))
+    return StressOutcome(text, off <= MOST and (out <= 1e-7 if closed else hard))
 
 
 def bits(rows: list[Any]) -> tuple[bool, float]:
-    """Whether all are the same to the last bit, and how far they are apart."""
+    """True if all are the same to the last bit, and their largest distance."""
     worst = max(float(np.abs(r - rows[0]).max()) for r in rows)
     return all(r.tobytes() == rows[0].tobytes() for r in rows), worst
 
 
-def threads() -> Outcome:
+def threads() -> StressOutcome:
     """Columns and ledger rows of members stepped by one thread, and by two."""
     found = []
     for n in (1, 2):
         steps = started(coupled(oscillator(), threads=n)).advance(0.0, H, STEPS)
         found.append(np.hstack([steps.signals, steps.stored, steps.supplied, steps.pairs]))
     same, worst = bits(found)
-    return Outcome("the same bits" if same else f"{worst:.1e} apart", same, tested=found[0].std() > 0)
+    return StressOutcome("the same bits" if same else f"{worst:.1e} apart", same, tested=found[0].std() > 0)
 
 
 def started(stepper: Any) -> Any:
@@ -82,7 +82,7 @@ def started(stepper: Any) -> Any:
     return stepper
 
 
-def jobs() -> Outcome:
+def jobs() -> StressOutcome:
     """A sweep by one, two and five threads."""
     from phfmu.components.mechanical.translational import mass
     from phfmu.runs.options import Options
@@ -101,12 +101,12 @@ def jobs() -> Outcome:
         for n in (1, 2, 5)
     ]
     same = all(t.equals(tables[0]) for t in tables)
-    return Outcome(
+    return StressOutcome(
         "the same bits" if same else "they differ", same, tested=len(set(tables[0]["last(v)"].to_pylist())) == 40
     )
 
 
-def turned() -> Outcome:
+def turned() -> StressOutcome:
     """The members of a network in another order: their energies, by name."""
     from phfmu import Network
 
@@ -122,15 +122,15 @@ def turned() -> Outcome:
         place = {name: i for i, name in enumerate(n.members)}
         found.append(steps.stored[:, [place[name] for name in net.members]])
     same, worst = bits(found)
-    return Outcome("the same bits" if same else f"{worst:.1e} J apart", worst <= 1e-12, tested=found[0].std() > 0)
+    return StressOutcome("the same bits" if same else f"{worst:.1e} J apart", worst <= 1e-12, tested=found[0].std() > 0)
 
 
 CASES = (
-    *(Case("plates", f"two constraints at an angle of {a:g}", "held, or falling as by hand, to 1e-7 m",
-           partial(between, a, False)) for a in (1e-4, 1e-6, 1e-10, 0.0)),
-    *(Case("plates", f"two constraints at an angle of {a:g}", "the same, or an error that names one, or exit code 4",
-           partial(between, a, True)) for a in (1e-7, 1e-8)),
-    Case("same_bits", "members stepped by 1 and 2 threads", "the same bits", threads),
-    Case("same_bits", "a sweep of 40 runs by 1, 2 and 5 jobs", "the same bits", jobs),
-    Case("same_bits", "members of a network in another order", "energies within 1e-12 J", turned),
+    *(StressCase("plates", f"two constraints at an angle of {a:g}", "held, or falling as by hand, to 1e-7 m",
+                 partial(between, a, False)) for a in (1e-4, 1e-6, 1e-10, 0.0)),
+    *(StressCase("plates", f"two constraints at an angle of {a:g}", "the same, or an error that names one, or exit code 4",
+                 partial(between, a, True)) for a in (1e-7, 1e-8)),
+    StressCase("same_bits", "members stepped by 1 and 2 threads", "the same bits", threads),
+    StressCase("same_bits", "a sweep of 40 runs by 1, 2 and 5 jobs", "the same bits", jobs),
+    StressCase("same_bits", "members of a network in another order", "energies within 1e-12 J", turned),
 )  # fmt: skip

@@ -6,7 +6,8 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
-from phfmu.studies.stress.case import Line, Verdict
+from phfmu.studies.stress.case import StressResult, Verdict
+from phfmu.studies.tables import markdown_table
 
 HEAD = """# Stiff and extreme cases
 
@@ -23,30 +24,29 @@ waits for `--long`.
 """
 
 
-def short(line: Line) -> str:
+def short(line: StressResult) -> str:
     """One line for the terminal."""
     return f"{line.verdict.value:13}  {line.case.target}: {line.case.name}: {line.happened}  [{line.case.criterion}]"
 
 
-def tally(lines: Sequence[Line]) -> str:
-    """How many of each verdict."""
+def tally(lines: Sequence[StressResult]) -> str:
+    """Counts of the verdicts, in words."""
     found = Counter(line.verdict for line in lines)
     return ", ".join(f"{found[v]} {v.value.lower()}" for v in Verdict if found[v])
 
 
-def page(lines: Sequence[Line], arguments: str) -> str:
+def page(lines: Sequence[StressResult], arguments: str) -> str:
     """The page in Markdown, a table per target."""
     text = [HEAD.format(command=f"phfmu stress {arguments}".rstrip(), counts=tally(lines))]
     for target in dict.fromkeys(line.case.target for line in lines):
-        text += [f"## {target}", "", "| case | what happened | criterion | verdict |", "| --- | --- | --- | --- |"]
-        for line in (x for x in lines if x.case.target == target):
-            cells = (line.case.name, line.happened, line.case.criterion, line.verdict.value)
-            text.append("| " + " | ".join(c.replace("|", "\\|").replace("\n", " ") for c in cells) + " |")
-        text.append("")
+        own = (x for x in lines if x.case.target == target)
+        rows = ((x.case.name, x.happened, x.case.criterion, x.verdict.value) for x in own)
+        escaped = ([c.replace("|", "\\|").replace("\n", " ") for c in row] for row in rows)
+        text += [f"## {target}", "", markdown_table(["case", "what happened", "criterion", "verdict"], escaped), ""]
     return "\n".join(text)
 
 
-def write(lines: Sequence[Line], folder: str | Path, arguments: str) -> Path:
+def write(lines: Sequence[StressResult], folder: str | Path, arguments: str) -> Path:
     """stress.md in `folder`."""
     Path(folder).mkdir(parents=True, exist_ok=True)
     path = Path(folder) / "stress.md"

@@ -7,13 +7,13 @@ from typing import Any
 from phfmu.fmu.fmi3 import FMU3Library
 from phfmu.fmu.importer.refusal import UnitCallError
 from phfmu.fmu.isolation.remote_slave import slave_of
-from phfmu.vet.finding import Finding, false, holds, untested
-from phfmu.vet.subject import Subject, Trial
+from phfmu.vet.finding import ClaimFinding, false, holds, untested
+from phfmu.vet.subject import Subject, UnitTrial
 
 OLDER = "FMI 2.0 has none"
 
 
-def early_return(subject: Subject) -> Finding:
+def early_return(subject: Subject) -> ClaimFinding:
     """Steps of an instance that may return early, and of one that may not: does it only where that is declared and allowed."""
     if subject.interface.version != "3.0":
         return untested(OLDER)
@@ -24,7 +24,7 @@ def early_return(subject: Subject) -> Finding:
             if error.answer == "early return":
                 return false(f"it returns early though the importer does not allow it: {error}")
             raise
-    trial = Trial(subject, slave_of(subject.archive.extracted, "vetted", True, None))
+    trial = UnitTrial(subject, slave_of(subject.archive.extracted, "vetted", True, None))
     try:
         trial.begin()
         for k in range(subject.n):
@@ -41,7 +41,7 @@ def early_return(subject: Subject) -> Finding:
     return holds(f"{k + 1} steps, all to their end")
 
 
-def intermediate_update(subject: Subject) -> Finding:
+def intermediate_update(subject: Subject) -> ClaimFinding:
     """A callback for intermediate updates: it is called within steps if and only if that is declared."""
     about = subject.interface
     if about.version != "3.0":

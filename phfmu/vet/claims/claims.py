@@ -4,10 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from phfmu.fmu.importer.inspect import fmu_problems
 from phfmu.vet.claims import calls, derivatives, determinism, energy, footprint, references, rollback, stepping, values
-from phfmu.vet.claims.description import description
-from phfmu.vet.finding import Claim
-from phfmu.words import meant
+from phfmu.vet.finding import Claim, ClaimFinding, false, holds
+from phfmu.vet.subject import Subject
+from phfmu.words import counted, meant
+
+#: problems that are quoted
+QUOTED = 4
+
+
+def description(subject: Subject) -> ClaimFinding:
+    """Schema, units, start values, names and structure of the description, as FMPy's validation and this package judge them."""
+    found = [" ".join(p.split()) for p in fmu_problems(subject.path)]
+    if found:
+        more = f"; {len(found) - QUOTED} more" if len(found) > QUOTED else ""
+        return false(f"{counted(len(found), 'problem')}: {'; '.join(found[:QUOTED])}{more}")
+    about = subject.interface
+    return holds(f"FMI {about.version}, {counted(len(about.variables), 'variable')}, no problem")
+
 
 CLAIMS = (
     Claim("description", "schema, units, start values, names and structure (FMPy's validation and this package)", description),

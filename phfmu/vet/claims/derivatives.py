@@ -15,8 +15,8 @@ from phfmu.fmu.importer.refusal import UnitCallError
 from phfmu.fmu.importer.unit_interface import Scalar
 from phfmu.fmu.importer.values import Derivative
 from phfmu.fmu.version import VERSIONS
-from phfmu.vet.finding import Finding, false, holds, untested
-from phfmu.vet.subject import Subject, Trial
+from phfmu.vet.finding import ClaimFinding, false, holds, untested
+from phfmu.vet.subject import Subject, UnitTrial
 from phfmu.words import counted
 
 Array = NDArray[np.float64]
@@ -30,7 +30,7 @@ SHIFT = 1e-4
 AT, MOST = 8, 12
 
 
-def directional(subject: Subject) -> Finding:
+def directional(subject: Subject) -> ClaimFinding:
     """d outputs / d inputs against central differences, of the instant and of the step."""
     if not subject.declared.able("providesDirectionalDerivative", "providesDirectionalDerivatives"):
         return untested("it gives no directional derivatives")
@@ -73,7 +73,7 @@ def _pairs(subject: Subject) -> tuple[list[Scalar], list[Scalar]]:
     return [v for v in subject.inputs if v.type == "Float64" and not v.size][:MOST], outputs[:MOST]
 
 
-def _matrix(trial: Trial, inputs: list[Scalar], outputs: list[Scalar]) -> Array:
+def _matrix(trial: UnitTrial, inputs: list[Scalar], outputs: list[Scalar]) -> Array:
     """The derivatives that the unit gives; NaN where it refuses one."""
     version = VERSIONS[trial.interface.version]
     found = np.full((len(outputs), len(inputs)), np.nan)
@@ -88,7 +88,7 @@ def _matrix(trial: Trial, inputs: list[Scalar], outputs: list[Scalar]) -> Array:
     return found
 
 
-def _differences(trial: Trial, inputs: list[Scalar], outputs: list[Scalar], state: int | None) -> Array:
+def _differences(trial: UnitTrial, inputs: list[Scalar], outputs: list[Scalar], state: int | None) -> Array:
     """Central differences of outputs under moved inputs: now, or over the step AT from the saved state."""
     subject = trial.subject
     y, places = trial.slave.references(outputs), {v.name: j for j, v in enumerate(subject.inputs)}
@@ -118,7 +118,7 @@ def _agree(given: Array, difference: Array) -> bool:
     return bool((np.abs(given - difference) <= TOLERANCE * scale + 1e-9).all())
 
 
-def adjoint(subject: Subject) -> Finding:
+def adjoint(subject: Subject) -> ClaimFinding:
     """v^T J from the adjoint call against J from the directional one, row by row."""
     if not subject.declared.able("providesAdjointDerivatives"):
         return untested("it gives no adjoint derivatives")

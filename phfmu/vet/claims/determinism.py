@@ -7,8 +7,8 @@ from threading import Thread
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.vet.finding import Finding, false, holds, untested
-from phfmu.vet.subject import Subject, Trial, difference
+from phfmu.vet.finding import ClaimFinding, false, holds, untested
+from phfmu.vet.subject import Subject, UnitTrial, difference
 
 Array = NDArray[np.float64]
 
@@ -17,7 +17,7 @@ ALONE = "a process can have one instance of it (canBeInstantiatedOnlyOncePerProc
 FEW = 12
 
 
-def two_instances(subject: Subject) -> Finding:
+def two_instances(subject: Subject) -> ClaimFinding:
     """An instance by itself, then one beside another that is stepped in turns with it under other inputs."""
     if subject.alone:
         return untested(ALONE)
@@ -39,7 +39,7 @@ def two_instances(subject: Subject) -> Finding:
     return holds(f"{len(again)} steps beside another instance: equal to the bit")
 
 
-def two_processes(subject: Subject) -> Finding:
+def two_processes(subject: Subject) -> ClaimFinding:
     """The same run here and in a process of its own."""
     with subject.trial() as trial:
         first = trial.run(0, subject.n)
@@ -50,7 +50,7 @@ def two_processes(subject: Subject) -> Finding:
     return false(f"in another process: {found}") if found else holds(f"{n} steps in two processes: equal to the bit")
 
 
-def order_of_calls(subject: Subject) -> Finding:
+def order_of_calls(subject: Subject) -> ClaimFinding:
     """Inputs set one by one in reverse, variables read one by one in reverse and twice: the same values."""
     with subject.trial() as trial:
         first = trial.run(0, min(FEW, subject.n))
@@ -71,7 +71,7 @@ def order_of_calls(subject: Subject) -> Finding:
     return holds(f"{len(rows)} steps with {len(asked)} variables read one by one, in reverse, twice: equal to the bit")
 
 
-def threads(subject: Subject) -> Finding:
+def threads(subject: Subject) -> ClaimFinding:
     """Two instances in two threads at the same time, each against a run by itself."""
     if subject.alone:
         return untested(ALONE)
@@ -95,7 +95,7 @@ def threads(subject: Subject) -> Finding:
 class _Run(Thread):
     """The steps of a trial in a thread of their own."""
 
-    def __init__(self, trial: Trial, n: int):
+    def __init__(self, trial: UnitTrial, n: int):
         super().__init__(daemon=True)
         self.trial, self.n, self.rows, self.error = trial, n, np.zeros((0, trial.y.n)), None
 

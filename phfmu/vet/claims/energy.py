@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from phfmu.fmu.importer.reader import FMUInstance
 from phfmu.outcome.status import StepFailure
-from phfmu.vet.finding import Finding, false, holds, untested
+from phfmu.vet.finding import ClaimFinding, false, holds, untested
 from phfmu.vet.subject import MOVE, Subject
 from phfmu.words import counted
 
@@ -47,7 +47,7 @@ class _Drive:
         return self.size * np.sin(2.0 * np.pi * x / self.period + self.phase)
 
 
-def passivity(subject: Subject) -> Finding:
+def passivity(subject: Subject) -> ClaimFinding:
     """Energy through the declared ports, from rest, along sines and the worst input that a search finds."""
     if not subject.ports:
         return untested("no power ports are declared (a file UNIT.ports.toml beside it, a manifest or terminals)")
@@ -144,7 +144,7 @@ def _energy(subject: Subject, drive: _Drive, length: int, parts: int = 1) -> tup
     return least, gross
 
 
-def ledger(subject: Subject) -> Finding:
+def ledger(subject: Subject) -> ClaimFinding:
     """A unit that keeps books: stored + dissipated = supplied in each step, within rounding."""
     if not subject.interface.energy:
         return untested("it keeps no books of its energy")

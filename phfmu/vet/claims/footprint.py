@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from phfmu.fmu.importer.refusal import UnitCallError
-from phfmu.vet.finding import Finding, false, holds, untested
+from phfmu.vet.finding import ClaimFinding, false, holds, untested
 from phfmu.vet.subject import Subject
 from phfmu.words import counted, first_few
 
@@ -24,7 +24,7 @@ OUTWARD = ("socket", "connect", "getaddrinfo", "fork", "execve", "execvp", "posi
            "CreateProcessA", "CreateProcessW", "WSAStartup")  # fmt: skip
 
 
-def memory(subject: Subject) -> Finding:
+def memory(subject: Subject) -> ClaimFinding:
     """1e4 steps under start inputs: bytes that the C library has handed out, in the second and the last third of them."""
     if sys.platform != "linux":
         return untested("memory is looked at on Linux only")
@@ -78,7 +78,7 @@ def _told_by_malloc() -> Any:
     return function
 
 
-def files(subject: Subject) -> Finding:
+def files(subject: Subject) -> ClaimFinding:
     """A run from instantiation to the free instance, in an empty folder: files there and in that of the unit, open handles."""
     here, named = Path.cwd(), os.environ.get("TMPDIR")
     own, handles = _files(subject.archive.folder), _handles()
@@ -122,7 +122,7 @@ def _listed(folder: str) -> list[str]:
         return []
 
 
-def outward(subject: Subject) -> Finding:
+def outward(subject: Subject) -> ClaimFinding:
     """Sockets and processes while it runs, and functions for these that its library names: told, not judged."""
     data = (subject.archive.folder / subject.archive.library).read_bytes()
     named = [n for n in OUTWARD if b"\0" + n.encode() + b"\0" in data]

@@ -17,14 +17,14 @@ from phfmu.fmu.export.variables import FMUError
 from phfmu.fmu.importer.refusal import UnitCallError
 from phfmu.fmu.importer.unit_file import unit_file
 from phfmu.fmu.importer.unit_interface import Scalar
-from phfmu.references.experiment import TYPES, Experiment, Series, read_experiments, read_series
+from phfmu.references.experiment import TYPES, Series, UnitExperiment, read_experiments, read_series
 from phfmu.references.layer import CSV, EXPERIMENT, PARAMETER, RESULT, SSV, content, related
 from phfmu.ssp.flat import bound
 from phfmu.ssp.loading import with_values
 from phfmu.ssp.parameters import parameter_values
 from phfmu.ssp.structure import SSPError
-from phfmu.vet.finding import FALSE, HOLDS, Claim, Finding, false, holds, untested
-from phfmu.vet.subject import Subject, Trial
+from phfmu.vet.finding import FALSE, HOLDS, Claim, ClaimFinding, false, holds, untested
+from phfmu.vet.subject import Subject, UnitTrial
 from phfmu.words import counted, first_few
 
 Array = NDArray[np.float64]
@@ -41,14 +41,14 @@ LONGEST = limits.DESCRIPTION
 class _Task:
     """An experiment with what its files hold: start values by name, stimuli, results; `notes`: what was left out."""
 
-    experiment: Experiment
+    experiment: UnitExperiment
     starts: Mapping[str, float]
     stimuli: Series | None
     results: Series
     notes: tuple[str, ...]
 
 
-def results(subject: Subject) -> Finding:
+def results(subject: Subject) -> ClaimFinding:
     """Each experiment is run, and each parameter set by itself is set; false if one of them is contradicted.
 
     FMUError where the unit has no library for this machine.
@@ -63,7 +63,7 @@ def results(subject: Subject) -> Finding:
         ]
         if not experiments:
             plain = [f for f in files if f.main_role == RESULT and f.type == CSV]
-            experiments = [Experiment(f.description or f.name, results=f.name) for f in plain]
+            experiments = [UnitExperiment(f.description or f.name, results=f.name) for f in plain]
         used = {e.parameters for e in experiments}
         sets = [f.name for f in files if f.main_role == PARAMETER and f.type == SSV and f.name not in used]
         found = [_experiment(subject, e) for e in experiments] + [_set_by_itself(subject, name) for name in sets]
@@ -75,16 +75,16 @@ def results(subject: Subject) -> Finding:
         )
     verdicts = [f.verdict for f in found]
     seen = "; ".join(f.seen for f in sorted(found, key=lambda f: f.verdict != FALSE))
-    return Finding(next((v for v in (FALSE, HOLDS) if v in verdicts), found[0].verdict), seen)
+    return ClaimFinding(next((v for v in (FALSE, HOLDS) if v in verdicts), found[0].verdict), seen)
 
 
-def _told(subject: Subject, file: str) -> list[Experiment]:
+def _told(subject: Subject, file: str) -> list[UnitExperiment]:
     data = content(subject.path, file)
-    missing = [Experiment(file, why=f"the unit names {file} and does not hold it")]
+    missing = [UnitExperiment(file, why=f"the unit names {file} and does not hold it")]
     return missing if data is None else read_experiments(data, file)
 
 
-def _experiment(subject: Subject, e: Experiment) -> Finding:
+def _experiment(subject: Subject, e: UnitExperiment) -> ClaimFinding:
     """One experiment: untested where it has no results or is none that can be run here."""
     name = f"experiment '{e.name}'"
     if e.why or not e.results:
@@ -112,7 +112,7 @@ def _starts(subject: Subject, file: str, notes: list[str]) -> Mapping[str, float
     return dict(with_values(file, unit_file(subject.path), bound((given,)), notes).starts)
 
 
-def _set_by_itself(subject: Subject, file: str) -> Finding:
+def _set_by_itself(subject: Subject, file: str) -> ClaimFinding:
     """A parameter set that no experiment uses: the unit takes its values and a step."""
     notes = list[str]()
     if content(subject.path, file) is None:
@@ -127,7 +127,7 @@ def _set_by_itself(subject: Subject, file: str) -> Finding:
     return holds("; ".join([f"parameter set {file}: {counted(len(starts), 'value')} taken", *notes]))
 
 
-def _begin(trial: Trial, start: float, tolerance: float | None, values: Mapping[str, float]) -> None:
+def _begin(trial: UnitTrial, start: float, tolerance: float | None, values: Mapping[str, float]) -> None:
     trial.slave.enter(start, None, tolerance)
     if values:
         group = trial.slave.references([trial.interface.variables[n] for n in values])
@@ -135,7 +135,7 @@ def _begin(trial: Trial, start: float, tolerance: float | None, values: Mapping[
         trial.slave.set(group)
 
 
-def _compared(subject: Subject, task: _Task, name: str) -> Finding:
+def _compared(subject: Subject, task: _Task, name: str) -> ClaimFinding:
     """The run of an experiment against its results."""
     e, told = task.experiment, task.results
     variables = subject.interface.variables
@@ -232,7 +232,7 @@ def _at(stimuli: Series, v: Scalar, t: float) -> float:
 
 def _judged(
     task: _Task, name: str, chosen: Sequence[Scalar], rows: _Rows, own: float | None, notes: Sequence[str]
-) -> Finding:
+) -> ClaimFinding:
     """The furthest value against the tolerance, relative to the largest value of its column in the results.
 
     Rows of one time, at an event, stand for all values between them.

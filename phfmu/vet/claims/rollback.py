@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from phfmu.fmu.importer.refusal import UnitCallError
-from phfmu.vet.finding import Finding, false, holds, untested
-from phfmu.vet.subject import Subject, Trial, difference
+from phfmu.vet.finding import ClaimFinding, false, holds, untested
+from phfmu.vet.subject import Subject, UnitTrial, difference
 
 #: steps under other inputs that are taken back
 ASTRAY = 9
 
 
-def state_restored(subject: Subject) -> Finding:
+def state_restored(subject: Subject) -> ClaimFinding:
     """Save, go on, restore, go astray under other inputs, restore, and go on again, twice."""
     at = subject.n // 4
     with subject.trial() as trial:
@@ -37,7 +37,7 @@ def state_restored(subject: Subject) -> Finding:
     )
 
 
-def _astray(trial: Trial, at: int) -> None:
+def _astray(trial: UnitTrial, at: int) -> None:
     """Steps under inputs that are those of others; a unit may refuse these."""
     subject = trial.subject
     for k in range(at, at + ASTRAY):
@@ -53,7 +53,7 @@ def _astray(trial: Trial, at: int) -> None:
             return
 
 
-def state_as_bytes(subject: Subject) -> Finding:
+def state_as_bytes(subject: Subject) -> ClaimFinding:
     """The bytes of a saved state, in another instance that has gone elsewhere, and in a process that is new."""
     if not subject.declared.able("canSerializeFMUstate", "canSerializeFMUState"):
         return untested("it does not give its state as bytes")

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.fmu.importer.refusal import UnitCallError
-from phfmu.vet.finding import Finding, false, holds, untested
-from phfmu.vet.subject import Subject, Trial, difference
+from phfmu.vet.finding import ClaimFinding, false, holds, untested
+from phfmu.vet.subject import Subject, UnitTrial, difference
 from phfmu.words import counted
 
 Array = NDArray[np.float64]
@@ -21,7 +21,7 @@ DIVERGES = 1e3
 ORDERS = np.arange(0.25, 6.01, 0.25)
 
 
-def steps(subject: Subject) -> Finding:
+def steps(subject: Subject) -> ClaimFinding:
     """The steps of its experiment, with inputs at their start values; then with inputs that move, which it may refuse."""
     moved, subject.amplitude = subject.amplitude, 0.0
     with subject.trial() as trial:
@@ -45,7 +45,7 @@ def steps(subject: Subject) -> Finding:
     return holds(f"{taken}, also with {len(subject.inputs)} moved inputs")
 
 
-def step_sizes(subject: Subject) -> Finding:
+def step_sizes(subject: Subject) -> ClaimFinding:
     """h, h/2 and h/3 under the same inputs: how far outputs are apart, and at which rate that falls."""
     base = 6.0 * subject.inside if subject.inside else subject.h
     tables = list[Array]()
@@ -80,7 +80,7 @@ def step_sizes(subject: Subject) -> Finding:
     )
 
 
-def _in_parts(trial: Trial, h: float, parts: int) -> Array:
+def _in_parts(trial: UnitTrial, h: float, parts: int) -> Array:
     """Values at t0 + (k + 1) h, each step taken in so many parts under the same inputs."""
     subject, rows = trial.subject, list[Array]()
     n = max(1, int(subject.n * subject.h / h / 2.0 + 1e-6))
@@ -108,7 +108,7 @@ def _rate(first: float, second: float) -> str:
     return f" (rate {ORDERS[int(np.argmin(np.abs(told - ratio)))]:g})"
 
 
-def unequal_steps(subject: Subject) -> Finding:
+def unequal_steps(subject: Subject) -> ClaimFinding:
     """Steps of h, h/2, h/3, .. in one run, for a unit that says it can handle these."""
     if not subject.declared.able("canHandleVariableCommunicationStepSize"):
         return untested("it takes steps of one length only")
@@ -132,7 +132,7 @@ def unequal_steps(subject: Subject) -> Finding:
     return holds(f"{counted(k + 1, 'step')} of {', '.join(f'{part * subject.h:.3g}' for part in lengths)} s in turns")
 
 
-def reset(subject: Subject) -> Finding:
+def reset(subject: Subject) -> ClaimFinding:
     """A run; then half a run under other inputs, fmi2Reset or fmi3Reset, and the run again: all values to the bit."""
     with subject.trial() as trial:
         first = trial.run(0, subject.n)

@@ -10,8 +10,8 @@ from phfmu.fmu.export.variables import FMUError
 from phfmu.fmu.importer.refusal import UnitCallError
 from phfmu.fmu.importer.unit_interface import Scalar
 from phfmu.fmu.importer.values import References
-from phfmu.vet.finding import Finding, false, holds, untested
-from phfmu.vet.subject import MOVE, Subject, Trial, difference
+from phfmu.vet.finding import ClaimFinding, false, holds, untested
+from phfmu.vet.subject import MOVE, Subject, UnitTrial, difference
 from phfmu.words import counted, first_few
 
 #: relative: a start that a unit computes in another unit of measurement is rounded
@@ -25,7 +25,7 @@ LONGEST = 2000
 FEW, AT = 4, 6
 
 
-def start_values(subject: Subject) -> Finding:
+def start_values(subject: Subject) -> ClaimFinding:
     """After initialisation: parameters, inputs and variables that begin exactly at a start value have it."""
     exact = [v for v in subject.interface.variables.values() if _begins_at_start(subject, v)]
     if not exact:
@@ -53,7 +53,7 @@ def _near(value: float, start: float, type_: str) -> bool:
     return abs(value - start) <= (1e-6 if type_ == "Float32" else ROUNDING) * max(abs(start), abs(value))
 
 
-def parameters_kept(subject: Subject) -> Finding:
+def parameters_kept(subject: Subject) -> ClaimFinding:
     """A parameter that is set before the start reads back as it was set, also after steps."""
     chosen = [
         v
@@ -89,7 +89,7 @@ def parameters_kept(subject: Subject) -> Finding:
     return holds(f"{counted(kept, 'parameter')} read back as set{more}")
 
 
-def finite_values(subject: Subject) -> Finding:
+def finite_values(subject: Subject) -> ClaimFinding:
     """Steps of the whole experiment, as far as there is time: every value that comes with OK is finite and of sensible size."""
     n = LONGEST if subject.span is None else min(LONGEST, max(subject.n, round(subject.span / subject.h)))
     bound = np.array([GROWTH * max(1.0, abs(v.nominal), abs(v.start or 0.0)) for v in subject.told])
@@ -109,7 +109,7 @@ def finite_values(subject: Subject) -> Finding:
     return holds(f"{k + 1} steps up to t = {trial.time:.6g} s")
 
 
-def unchanged_at_rest(subject: Subject) -> Finding:
+def unchanged_at_rest(subject: Subject) -> ClaimFinding:
     """Without time or inputs nothing changes: values are read twice, and again after the same inputs are set again."""
     with subject.trial() as trial:
         for k in range(0, 3 * FEW, FEW):
@@ -126,7 +126,7 @@ def unchanged_at_rest(subject: Subject) -> Finding:
     return holds("values read twice, and after the same inputs were set again, are equal to the bit")
 
 
-def feedthrough(subject: Subject) -> Finding:
+def feedthrough(subject: Subject) -> ClaimFinding:
     """Each input is moved between steps: outputs that follow at once are those whose dependencies say so."""
     outputs = [v for v in subject.told if v.causality == "output" and v.type in ("Float64", "Float32")]
     if not subject.inputs or not outputs or not subject.amplitude:
@@ -158,8 +158,8 @@ def feedthrough(subject: Subject) -> Finding:
     )
 
 
-def _follows(trial: Trial, y: References, j: int) -> np.ndarray:
-    """Which outputs change as input j is moved between steps; it is moved back."""
+def _follows(trial: UnitTrial, y: References, j: int) -> np.ndarray:
+    """Mask of the outputs that change as input j is moved between steps; it is moved back."""
     subject = trial.subject
     u = trial.slave.get(trial.u).copy()
     before = trial.slave.get(y).copy()
@@ -175,7 +175,7 @@ def _follows(trial: Trial, y: References, j: int) -> np.ndarray:
     return changed
 
 
-def input_timing(subject: Subject) -> Finding:
+def input_timing(subject: Subject) -> ClaimFinding:
     """An input is moved before one step only: which outputs answer at once, by the end of that step, or a step later."""
     outputs = [v for v in subject.told if v.causality == "output" and v.type in ("Float64", "Float32")]
     if not subject.inputs or not outputs or not subject.amplitude:

@@ -94,7 +94,7 @@ def call(args: argparse.Namespace) -> int:
 
 
 def _require_alone(args: argparse.Namespace) -> None:
-    """ValueError for options of tables beside --why."""
+    """Raise ValueError for options of tables beside --why."""
     given = [f"--{name}" for name in ("window", "by", "unit", "export") if getattr(args, name)]
     given += ["--percent"] if args.percent else []
     if given:

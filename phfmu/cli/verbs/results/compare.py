@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from phfmu.words import counted
 
 if TYPE_CHECKING:
-    from phfmu.report.compare import Comparison, Difference
+    from phfmu.report.compare import Comparison, SignalDifference
 
 #: most signals of which lines are printed
 LINES = 20
@@ -56,7 +56,7 @@ def call(args: argparse.Namespace) -> int:
     return PROBLEMS if beyond else FINE
 
 
-def _print(args: argparse.Namespace, found: Comparison, beyond: list[Difference]) -> None:
+def _print(args: argparse.Namespace, found: Comparison, beyond: list[SignalDifference]) -> None:
     shown = [d for d in found.differences if d.size > 0][:LINES]
     if shown:
         width = max(len(d.name) for d in shown)

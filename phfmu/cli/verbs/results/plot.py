@@ -69,7 +69,7 @@ def _sweep(args: argparse.Namespace, size: tuple[int, int] | None) -> int:
 
 
 def window(text: str | None) -> tuple[float, float]:
-    """A:B in seconds; what is left out is open. ValueError for anything else."""
+    """Start and end [s] of A:B, of which one may be left out; raises ValueError for anything else."""
     if text is None:
         return float("-inf"), float("inf")
     first, colon, last = text.partition(":")

@@ -1,5 +1,5 @@
 /* Jumps of the states along L, with the constraints that hold through them; the twin of
- * engine/landing/event_jump.py.
+ * engine/event_jump.py.
  */
 #include <math.h>
 #include <string.h>

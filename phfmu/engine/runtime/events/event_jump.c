@@ -72,12 +72,12 @@ static void set(double *p, const int *ptr, const int *which, const double *value
         p[which[j]] = value[j];
 }
 
-int ph_happen_jump(ph_landing *l, double *energy, double *lost) {
+int ph_happen_decide(ph_landing *l) {
     ph_instance *in = l->in;
     const ph_events *e = l->events;
     const ph_plan *p = in->model->step;
     const int crowded = l->happened >= PH_MOST_EVENTS;
-    int any = 0, slides = 0, status;
+    int any = 0, slides = 0;
     for (int i = 0; i < e->n; i++) {
         const int piled = crowded || l->t - l->last[i] < PH_PILE_UP * l->grid;
         l->rests[i] = l->fired[i] && piled && e->rest_ptr[i + 1] > e->rest_ptr[i];
@@ -86,8 +86,6 @@ int ph_happen_jump(ph_landing *l, double *energy, double *lost) {
     }
     if (crowded && !any)
         return ph_refuse_event(l, slides ? PH_REFUSED_SLIDES : PH_REFUSED_PILE, 0.0, 0.0);
-    ph_clear(energy, p->ncomp);
-    ph_clear(lost, p->ncomp);
     ph_save(in, l->before); /* where a refused event leaves the instance */
     if (p->np > 0)
         memcpy(l->p, in->p, sizeof(double) * (size_t)p->np);
@@ -97,6 +95,15 @@ int ph_happen_jump(ph_landing *l, double *energy, double *lost) {
     for (int i = 0; i < e->n; i++)
         if (l->rests[i])
             set(l->p, e->rest_ptr, e->rest_p, e->rest_value, i);
+    return PH_OK;
+}
+
+int ph_happen_jump(ph_landing *l, double *energy, double *lost) {
+    int status = ph_happen_decide(l);
+    if (status)
+        return status;
+    ph_clear(energy, l->in->model->step->ncomp);
+    ph_clear(lost, l->in->model->step->ncomp);
     status = ph_jump_event(l, energy, lost);
     if (status)
         ph_happen_undo(l);

@@ -1,4 +1,5 @@
-/* Zeros of a guard within a step, from Bernstein coefficients; the twin of events/roots.py. */
+/* Zeros of a guard within a step, from Bernstein coefficients, which are halved until one change of sign is
+ * left (Lane, Riesenfeld, BIT 21, 1981). */
 #include <math.h>
 #include <string.h>
 

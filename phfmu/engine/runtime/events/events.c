@@ -104,6 +104,10 @@ int ph_land_more(ph_landing *l, const ph_record *record, ph_landed *out) {
     return PH_OK;
 }
 
+double *ph_land_rates(const ph_landing *l) {
+    return l->rates;
+}
+
 void ph_land_stops(ph_landing *l, const signed char *stops) {
     l->stops = stops;
 }

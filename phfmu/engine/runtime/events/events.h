@@ -125,9 +125,12 @@ PH_API void ph_land_stops(ph_landing *l, const signed char *stops);
 PH_API const signed char *ph_land_stopped(const ph_landing *l, double *t, int *happened);
 /* Goes on after them where `from`, of a model with the same events, perhaps l itself, ended. */
 PH_API int ph_land_after(ph_landing *l, const ph_landing *from);
-/* The first half of those events: the states jump, energy and lost (ncomp each) are overwritten, and the
- * parameters after them (np) wait for who sets them. After a status other than PH_OK, and after undo, the
- * instance is where it was. */
+/* |d guard / dt| (n) where the present instant was reached, by which a guard that was landed on is zero. */
+PH_API double *ph_land_rates(const ph_landing *l);
+/* Which of those events come to rest, and the parameters after them (np), which wait for who sets them. */
+PH_API int ph_happen_decide(ph_landing *l);
+/* The first half of those events: decided, and the states jump; energy and lost (ncomp each) are overwritten.
+ * After a status other than PH_OK, and after undo, the instance is where it was. */
 PH_API int ph_happen_jump(ph_landing *l, double *energy, double *lost);
 PH_API void ph_happen_undo(ph_landing *l);
 PH_API const double *ph_happen_parameters(const ph_landing *l);

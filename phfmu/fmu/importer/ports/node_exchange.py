@@ -98,7 +98,7 @@ class NodeExchange:
     def node_sensitivity(
         self, inputs: Sequence[int] | None = None, impulses: bool = False, end: bool = False
     ) -> NodeSensitivity:
-        """As of the engines; states of a unit are not known, and `end` needs one with impulses.
+        """The sensitivity at nodes, as engines give it; states of a unit are not known, and `end` needs a unit with impulses.
 
         StepFailure NO_SENSITIVITY if the unit refuses.
         """

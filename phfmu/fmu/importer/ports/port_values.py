@@ -64,7 +64,7 @@ class PortValues:
         return References(self.interface.scalars(tuple(names), what), VERSIONS[self.interface.version])
 
     def _impulses(self, ports: Sequence[PortMap]) -> list[str]:
-        """Those at the start of a step, then those at its end."""
+        """Impulses at the start of a step, then those at its end."""
         of = dict(zip(self.inputs, (i for p in ports for i in p.impulses or ((),) * len(p.inputs)), strict=True))
         pairs = [of.get(n, ()) for n in self.interface.impulses]
         if any(len(p) != 2 for p in pairs):

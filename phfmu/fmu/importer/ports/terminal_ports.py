@@ -31,7 +31,7 @@ def terminal_ports(document: bytes, interface: UnitInterface, where: str) -> tup
 
 
 def _terminals(parent: Element | None, prefix: str) -> list[tuple[str, Element]]:
-    """With those inside of others, by dotted names."""
+    """All terminals, nested ones by dotted names."""
     out = list[tuple[str, Element]]()
     for t in [] if parent is None else parent.findall("Terminal"):
         name = prefix + plain(t.get("name", ""), 100)

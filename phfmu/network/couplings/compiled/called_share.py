@@ -34,7 +34,7 @@ EXCHANGED = "exchanged"
 
 
 class CalledShare:
-    """`values`: fields of `ph_share` that belong to the member."""
+    """Share of a member that compiled code calls back; `values`: fields of `ph_share` that belong to the member."""
 
     def __init__(self, part: ShareTables, memory: Structures, lib: ctypes.CDLL):
         self._part, self._member = part, part.member

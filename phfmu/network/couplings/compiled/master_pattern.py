@@ -201,7 +201,7 @@ def _held_signals(joined: CoupledMembers, member: Member, held: Sequence[Wire]) 
 
 
 def _part(s: MemberUnknowns, where: Array, n: int, told: list[str], taken: list[str]) -> ShareTables:
-    """`where`: each bare column stands, `n`: unknowns at nodes."""
+    """Lists of a member's share; `where`: place of each bare column, `n`: number of unknowns at nodes."""
     rule = s.values.rule
     kicks, own, inputs = len(s.Q) if s.kicked else 0, s.own, np.array(s.fed_rows, np.int32)
     if not s.back.any():  # of a relation, whose rows are in C

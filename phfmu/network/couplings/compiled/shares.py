@@ -30,7 +30,7 @@ Array = NDArray[Any]
 
 
 class NativeShare:
-    """`values`: fields of `ph_share` that belong to the member."""
+    """Share of a member that a native instance steps; `values`: fields of `ph_share` that belong to the member."""
 
     def __init__(self, part: ShareTables, m: Structures, lib: ctypes.CDLL):
         self._part = part

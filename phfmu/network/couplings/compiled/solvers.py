@@ -77,7 +77,7 @@ class MasterSolver(Protocol):
 
 
 class NewtonSolver:
-    """`found`: unknowns of the last step;  `missed`: what the continuations of the last ones missed."""
+    """Newton's method in C; `found`: unknowns of the last step;  `missed`: the errors of the last continuations."""
 
     name, iterations, sweeps, words, failure = "newton", ITERATIONS, 0, "interface Newton", None
 

@@ -55,7 +55,9 @@ TRIED = 16  # steps by one thread and by many, of which the faster go on
 
 
 class ThreadNumber:
-    """`cost`: seconds that trials of each member took, of which compiled code adds up the first; `asked`: None chooses.
+    """Number of threads of each part of a run: that `asked` for or, if None, the one that measured times show to pay.
+
+    cost: seconds that trials of each member took, of which compiled code adds up the first
 
     Parts of a run are the same whatever the threads: where one ends shows in the last bits.
     """

@@ -26,7 +26,7 @@ FATAL = 4  # of fmi2Status and fmi3Status
 
 
 class UnitShare:
-    """`values`: fields of `ph_share` that belong to the member."""
+    """Share of a unit that compiled code steps; `values`: fields of `ph_share` that belong to the member."""
 
     def __init__(self, part: ShareTables, m: Structures, lib: ctypes.CDLL, access: Access):
         self._part, self._memory, self._access = part, m, access

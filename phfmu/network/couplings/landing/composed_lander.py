@@ -49,7 +49,7 @@ class ComposedState:
         )
 
     def gathered(self, what: str) -> Array:
-        """`x`, `parameters` or `unknowns` of the instances."""
+        """Values of all instances, one after the other; `what`: x, parameters or unknowns."""
         return np.concatenate([getattr(m.instance, what) for m in self.members])
 
     @property
@@ -209,7 +209,7 @@ class ComposedLander:
         self._steps.restore(self._saved)
 
     def get_state(self) -> tuple[Any, Array]:
-        """That of the composed declaration, and the junction unknowns of the present instant."""
+        """State of the composed declaration, and the junction unknowns of the present instant."""
         return self._whole.get_state(), self.xi
 
     def set_state(self, state: tuple[Any, Array]) -> None:

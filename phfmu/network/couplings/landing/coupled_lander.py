@@ -2,33 +2,33 @@
 
 The polynomials of node values do not reach over an event, so a step of all members is tried, the guards are looked at on the
 polynomials of their members, and the step that ends on the first zero of all is taken by all, with an iteration of the interface
-for each trial.  Rules and words are those of `engine/landing/locate.py`, which sees one instance with the states of all
-such members.
+for each trial.  Compiled code locates the zeros on the members with events side by side, whose steps are lent to it, as units of
+coupled members do (as_unit/runtime/network_lander.c).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from types import SimpleNamespace
-from typing import Any, NoReturn
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.engine.landing.event_jump import Guards
-from phfmu.engine.landing.grid_step import grid_step
-from phfmu.engine.landing.landing import Landing
-from phfmu.engine.landing.locate import Location
-from phfmu.events.event_plan import EventPlan, Settings
+from phfmu.discretise.within import polynomial_of
+from phfmu.engine.native.native import NativeInstance
+from phfmu.engine.native.native_landing import StepCallbacks
+from phfmu.network.couplings.coupling import AllSteps
+from phfmu.network.couplings.landing.side_by_side import side_by_side, without_inputs
 from phfmu.network.interface.coupled_members import CoupledMembers
 from phfmu.network.interface.joint_impulse import FiredEvents
 from phfmu.network.interface.shared_jumps import SharedJumps
 from phfmu.network.members.engine_member import EngineMember
 from phfmu.network.members.event_texts import EventTexts
-from phfmu.outcome.steps import StepEvent
+from phfmu.outcome.steps import EventRecord, StepEvent
 
 Array = NDArray[Any]
-
 
 _NONE: frozenset[int] = frozenset()
 
@@ -36,79 +36,74 @@ _NONE: frozenset[int] = frozenset()
 class CoupledLander:
     """Steps of `members` with state events and of all they are joined with.
 
-    joined: all members of the network;  shared: which jumps act on several
-    solve: takes a step (t, h) of all, True if in one part;  save, restore: of where all are
+    joined: all members of the network;  shared: which jumps act on several;  steps: of all
     """
 
-    CARRIED = ("location",)
     #: algebraic variables of the composed declaration, which members that land like this are not asked for
     algebraics = None
 
-    def __init__(
-        self,
-        joined: CoupledMembers,
-        shared: SharedJumps,
-        members: list[EngineMember],
-        solve: Callable[[float, float], bool],
-        save: Callable[[], Any],
-        restore: Callable[[Any], None],
-    ):
-        self.members, self._joined, self._shared, self._solve = members, joined, shared, solve
+    def __init__(self, joined: CoupledMembers, shared: SharedJumps, members: list[EngineMember], steps: AllSteps):
+        self.members, self._joined, self._shared, self._steps = members, joined, shared, steps
         for m in members:
             m.together = True
-        self._save, self.restore, self._saved, self._in_parts = save, restore, save(), 0
-        self._landings = [Landing(m.instance) for m in members]
+        self._saved, self._in_parts = steps.save(), 0
         self._words = [EventTexts(m.model, m.name) for m in members]
+        model = side_by_side({m.name: m.model for m in members})
+        self._whole = NativeInstance(replace(model, events=without_inputs(model)), kernels=members[0].instance.kind)
+        self._landing, self._check = self._whole.landing
+        self._landing.lend(StepCallbacks(self, self._whole))
         plans = [m.model.events for m in members]
-        self._plan = _StackedGuards(members, [p for p in plans if p is not None])
-        k = max(m.model.step.k for m in members)
+        counts = [p.n for p in plans if p is not None]
+        self.guards = sum(counts)
+        self._landing.stop_before(np.ones(self.guards, np.int8))
+        self._x, self._p, self._components = (
+            _places([getattr(m.model.step, size) for m in members]) for size in ("nx", "np", "ncomp")
+        )
+        self._guards = _places(counts)
         #: numbers of the events that happened last and of those that came to rest, among the guards of all members
         self.last: tuple[list[int], list[int]] = [], []
         #: names of the members that began anew with them, whose means are those of the instant
         self.anew: set[str] = set()
-        self.model = SimpleNamespace(step=SimpleNamespace(k=k, na=0))
-        self.location: Any = Location(self, self._plan, self._plan)  # type: ignore[arg-type]
 
-    # -- an instance ----------------------------------------------------------------------------------------------------
+    def get_state(self) -> tuple[bytes, Array]:
+        """Where the model is that has the states of all, and how it got there."""
+        return self._whole.get_state(), self._landing.rates.copy()
+
+    def set_state(self, state: tuple[bytes, Array]) -> None:
+        """Goes on from what `get_state` gave."""
+        whole, rates = state
+        self._whole.set_state(whole)
+        self._landing.rates[:] = rates
+
+    # -- steps of all, lent to the model ------------------------------------------------------------------------------------
+
+    @property
+    def halved(self) -> int:
+        """How often steps were halved, by members or by all: such a step has no polynomial."""
+        return self._in_parts + sum(m.instance.counts["substeps"] for m in self.members)
 
     @property
     def x(self) -> Array:
         return np.concatenate([m.instance.x for m in self.members])
 
-    @property
-    def unknowns(self) -> Array:
-        return np.concatenate([m.instance.unknowns for m in self.members])
+    def step(self, t: float, h: float) -> None:
+        self._in_parts += not self._steps.solve(t, h)
 
-    @property
-    def parameters(self) -> Array:
-        return np.concatenate([m.instance.parameters for m in self.members])
+    def inside(self, x: Array, tau: float) -> Array:
+        found = [
+            polynomial_of(m.model)(x[place], m.instance.unknowns, tau)
+            for m, place in zip(self.members, self._x, strict=True)
+        ]
+        return np.concatenate(found)
 
-    @property
-    def held_input(self) -> Array:
-        """Guards that read inputs do not land together."""
-        return np.zeros(0)
-
-    @property
-    def time(self) -> float:
-        return float(self.members[0].instance.time)
-
-    @property
-    def counts(self) -> dict[str, int]:
-        """Number of steps that were halved, by members or by all: such a step has no polynomial."""
-        return {"substeps": self._in_parts + sum(m.instance.counts["substeps"] for m in self.members)}
-
-    def step_exactly(self, t: float, h: float) -> None:
-        self._in_parts += not self._solve(t, h)
-
-    def get_state(self) -> Any:
-        self._saved = self._save()
-        return self._saved
+    def save(self) -> None:
+        self._saved = self._steps.save()
 
     def back(self) -> None:
         """To where the last step began."""
-        self.restore(self._saved)
+        self._steps.restore(self._saved)
 
-    # -- a grid step ----------------------------------------------------------------------------------------------------
+    # -- a grid step --------------------------------------------------------------------------------------------------------
 
     def over(
         self, t: float, end: float, changed: bool, pause: bool = False
@@ -117,129 +112,98 @@ class CoupledLander:
 
         `pause`: ends after the first event, and those that follow it at the same time.
         """
-        for landing in self._landings:
-            landing.begin()
-        fired = self.location.begun(t, end - t) if changed else []
-        yield from grid_step(self, t, end, end - t, fired, pause=pause)
+        self._whole.set_x(t, self.x)
+        self._whole.set_parameters(np.concatenate([m.instance.parameters for m in self.members]))
+        for start, taken in self._landing.stopping(t, end, changed, pause, self._check):
+            yield start, taken, None if taken else self._happened(start)
 
-    @property
-    def guards(self) -> int:
-        return self._plan.n
-
-    def refuse_again(self, t: float, fired: list[int]) -> NoReturn:
-        member, own = next(self._plan.of(fired))
-        self._landings[member].refuse_again(t, own)
-
-    def happen(self, t: float, h: float, fired: list[int], events: int) -> StepEvent:
-        before = self.get_state()
+    def _happened(self, t: float) -> StepEvent:
+        """The events that the landing stopped before, at t; members are where they were if they are refused."""
+        before = self._steps.save()
         try:
-            return self._happened(t, h, fired, events)
+            told = self._jumped(t)
+            self._landing.after(self._check)
         except BaseException:
-            self.restore(before)
+            self._steps.restore(before)
             raise
+        return told
 
-    def _happened(self, t: float, h: float, fired: list[int], events: int) -> StepEvent:
+    def _jumped(self, t: float) -> StepEvent:
         """Events of members at once, as one event."""
-        own = dict(self._plan.of(fired))
-        decided = {i: self._landings[i].decided(t, h, numbers, events) for i, numbers in own.items()}
-        struck, (energy, lost) = self._struck(t, own, decided)
-        self.anew |= {self.members[i].name for i in own}
-        self.last = fired, self._plan.numbers({i: rests for i, (_, rests) in decided.items()})
+        found = np.zeros((2, len(self._joined.booking.components)))
+        fired, rests, p, struck = self._struck(t, found)
+        for i, (m, place) in enumerate(zip(self.members, self._guards, strict=True)):
+            own = [e - place.start for e in fired if place.start <= e < place.stop]
+            if not own:
+                continue
+            if i not in struck and _moves(m, own):
+                m.instance.set_x(t, self._whole.x[self._x[i]])
+            m.instance.set_parameters(p[self._p[i]])
+            m.instance.initialise()
+        self._whole.set_x(t, self.x)
+        self._whole.set_parameters(p)
+        self.last = fired, rests
+        self.anew |= {self.members[i].name for i in self._of(fired)}
         told = list[StepEvent]()
-        for i, (p, rests) in decided.items():
-            landing, of = self._landings[i], self._joined.components(self.members[i].name)
-            if i not in struck:
-                energy[of], lost[of] = landing.jumps.jump(t, p, own[i], rests)
-            happened = landing.follows(t, h, (p, own[i], rests), (energy[of], lost[of]))
-            told.append(self._words[i].told(happened))
+        for i, own in self._of(fired).items():
+            of, still = self._joined.components(self.members[i].name), self._of(rests).get(i, [])
+            record = EventRecord(t, tuple(own), tuple(still), found[0, of], found[1, of], np.zeros(0))
+            told.append(self._words[i].told(record))
         names, messages = ", ".join(e.names for e in told), "; ".join(e.message for e in told)
-        return StepEvent(t, energy, lost, names, messages)
+        return StepEvent(t, found[0], found[1], names, messages)
 
-    def _struck(
-        self, t: float, own: dict[int, list[int]], decided: dict[int, tuple[Array, list[int]]]
-    ) -> tuple[set[int], Any]:
-        """Members whose jumps have taken place, in one system with all that these act on; energies got and lost by component."""
+    def _of(self, events: list[int]) -> dict[int, list[int]]:
+        """Members with their own numbers of events."""
+        own = {i: [e - g.start for e in events if g.start <= e < g.stop] for i, g in enumerate(self._guards)}
+        return {i: numbers for i, numbers in own.items() if numbers}
+
+    def _struck(self, t: float, found: Array) -> tuple[list[int], list[int], Array, set[int]]:
+        """What happens, what comes to rest, the parameters after it, and whose states have jumped together with those of others.
+
+        found: energies got and lost by component of the network.  A jump that acts on other members takes place in one system
+        with all that these act on.
+        """
         numbers = [self._joined.members.index(m) for m in self.members]
+        self.anew = set()
+        if not any(self._shared.of.get(m.name) for m in self.members):
+            self._book(found, self._landing.jump(self._check), set())
+            return *self._landing.decided, set()
+        self._landing.decide(self._check)
+        fired, rests, p = self._landing.decided
+        own, still = self._of(fired), self._of(rests)
         start = [
             numbers[i] for i, e in own.items() if not self._shared.of.get(self.members[i].name, _NONE).isdisjoint(e)
         ]
-        self.anew = set()
-        if not start:
-            return set(), np.zeros((2, len(self._joined.booking.components)))
-        reached, _ = self._shared.reached(start)
-        self.anew = {self._joined.members[i].name for i in reached}
+        reached = self._shared.reached(start)[0] if start else []
         struck = {i for i in own if numbers[i] in reached}
-        fired = {numbers[i]: FiredEvents(self._landings[i].plan, own[i], *decided[i]) for i in struck}
-        return struck, self._shared.jump(t, fired)
+        if len(struck) < len(own):
+            self._book(found, self._landing.jump(self._check), struck)
+        self.anew = {self._joined.members[i].name for i in reached}
+        if start:
+            at = {
+                numbers[i]: FiredEvents(_events(self.members[i]), own[i], p[self._p[i]], still.get(i, []))
+                for i in struck
+            }
+            found += self._shared.jump(t, at)
+        return fired, rests, p, struck
+
+    def _book(self, found: Array, by_component: tuple[Array, Array], others: set[int]) -> None:
+        """Energies of the members' own jumps; `others` have jumped elsewhere."""
+        for i, m in enumerate(self.members):
+            if i not in others:
+                of = self._joined.components(m.name)
+                found[0, of], found[1, of] = (e[self._components[i]] for e in by_component)
 
 
-class _StackedGuards:
-    """The guards of all members as those of one plan: x = [states of each | t], p = [parameters of each]."""
-
-    solves = 0
-
-    def __init__(self, members: list[EngineMember], plans: list[EventPlan]):
-        self._plans, self._guards = plans, [Guards(p) for p in plans]
-        steps = [m.model.step for m in members]
-        self._first = np.cumsum([0, *(p.n for p in plans)])
-        self._x, self._w, self._p = (
-            np.cumsum([0, *(getattr(s, size) for s in steps)]).tolist() for size in ("nx", "nw", "np")
-        )
-        self._y = [np.zeros(s.na + s.nu) for s in steps]
-        self.n = int(self._first[-1])
-        self.rated = np.concatenate([(p.rated != 0) & ~_reads(p) for p in plans])
-        self.direction = np.concatenate([p.direction for p in plans])
-        self.nominal = np.concatenate([p.nominal for p in plans])
-        self.when, self.sets = (self._settings([getattr(p, name) for p in plans]) for name in ("when", "sets"))
-
-    def _settings(self, own: list[Settings]) -> Settings:
-        ends = np.cumsum([0, *(len(s.p) for s in own)])
-        ptr = [s.ptr[:-1] + at for s, at in zip(own, ends, strict=False)]
-        places = [s.p + at for s, at in zip(own, self._p, strict=False)]
-        return Settings(
-            np.append(np.concatenate(ptr), ends[-1]), np.concatenate(places), np.concatenate([s.value for s in own])
-        )
-
-    def of(self, fired: list[int]) -> Iterator[tuple[int, list[int]]]:
-        """Members with their own numbers of the guards `fired`."""
-        for i, (a, b) in enumerate(zip(self._first[:-1], self._first[1:], strict=True)):
-            if own := [int(j - a) for j in fired if a <= j < b]:
-                yield i, own
-
-    def numbers(self, own: dict[int, list[int]]) -> list[int]:
-        """The numbers of guards among all, from those of each member."""
-        return [int(self._first[i]) + j for i, which in own.items() for j in which]
-
-    def values(self, x: Array, y: Array, p: Array) -> Array:
-        """All guards (n)."""
-        return self._gathered("values", x, p)
-
-    def _gathered(self, what: str, x: Array, p: Array) -> Array:
-        found = [
-            getattr(g, what)(np.append(x[a:b], x[-1]), own, p[c:d])
-            for g, own, a, b, c, d in zip(
-                self._guards, self._y, self._x[:-1], self._x[1:], self._p[:-1], self._p[1:], strict=True
-            )
-        ]
-        return np.concatenate(found)
-
-    def rates(self, x: Array, y: Array, p: Array) -> Array:
-        """d guard / dt of all guards (n), 0 of those that are not rated, or whose rates read inputs."""
-        return np.where(self.rated, self._gathered("rates", x, p), 0.0)
-
-    def polynomial(self, x: Array, w: Array, tau: float) -> Array:
-        """States of all at the fraction tau of a step."""
-        return np.concatenate(
-            [
-                p.polynomial(x[a:b], w[c:d], tau)
-                for p, a, b, c, d in zip(self._plans, self._x[:-1], self._x[1:], self._w[:-1], self._w[1:], strict=True)
-            ]
-        )
+def _places(counts: list[int]) -> list[slice]:
+    return [slice(a, b) for a, b in pairwise(np.cumsum([0, *counts]).tolist())]
 
 
-def _reads(plan: EventPlan) -> NDArray[np.bool_]:
-    """Guards (n) whose rates read inputs, which are not known where members land together."""
-    found = np.zeros(plan.n, bool)
-    for group in plan.rates:
-        found[group.oi.ravel()] |= group.yi.shape[1] > 0
-    return found
+def _events(m: EngineMember) -> Any:
+    return m.model.events
+
+
+def _moves(m: EngineMember, events: list[int]) -> bool:
+    """Whether states may jump with these events of a member."""
+    jump = _events(m).jump
+    return jump is not None and bool(jump.held or (np.asarray(jump.of)[events] >= 0).any())

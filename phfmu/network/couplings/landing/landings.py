@@ -40,4 +40,4 @@ def landings(
         return exchange, None, None
     from phfmu.network.couplings.landing.coupled_lander import CoupledLander
 
-    return exchange, CoupledLander(joined, exchange.shared, members, steps.solve, steps.save, steps.restore), None
+    return exchange, CoupledLander(joined, exchange.shared, members, steps), None

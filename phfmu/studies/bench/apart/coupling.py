@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Any
 from phfmu.studies.bench.apart import own_time
 from phfmu.studies.bench.apart.networks import composed, instances, joined, planned
 from phfmu.studies.bench.apart.own_time import OwnTime
+from phfmu.studies.bench.apart.turns import StepperTurns, in_turns
+from phfmu.studies.tables import markdown_table
 
 if TYPE_CHECKING:
-    from phfmu.network.couplings.stepper import Stepper
     from phfmu.network.network import Network
 
 ROUNDS = 15  # turns that the median is of
-WARM = 20  # steps before, in which iterations find their start
 #: name -> step (s)
 SCENES = {"oscillator": 1e-2, "drive": 1e-3, "smib": 1e-3, "two_machine": 1e-4}
 #: name -> step (s), where members take one held value
@@ -30,7 +30,7 @@ LONG = 0.01  # s, their step
 
 
 @dataclass(frozen=True)
-class Row:
+class ApartCost:
     """CPU time of a step in us, medians over turns: composed, members apart; median of the ratios.
 
     own, units: where the time goes per member and step, of native members and of the same as FMUs
@@ -47,44 +47,20 @@ class Row:
     units: OwnTime
 
 
-class _Clock:
-    """CPU time per step of a stepper that goes on from turn to turn."""
-
-    def __init__(self, stepper: Stepper, h: float, n: int):
-        self.stepper, self.h, self.n, self.first = stepper, h, n, 0
-        self.times: list[float] = []
-        self.trials = 0.0
-        stepper.check_start()
-        stepper.prepare(0.0, h)
-        self._advance(WARM)
-
-    def turn(self) -> None:
-        before = thread_time()
-        self._advance(self.n)
-        self.times.append(1e6 * (thread_time() - before) / self.n)
-
-    def _advance(self, n: int) -> None:
-        steps = self.stepper.advance(0.0, self.h, n, self.first)
-        self.first += n
-        self.trials = steps.spent / n
-
-
-def measure(name: str, network: Network, h: float, k: int) -> Row:
+def measure(name: str, network: Network, h: float, k: int) -> ApartCost:
     """Turn by turn, so that what else the machine does falls on all alike."""
     members = instances(planned(network, k))
-    clocks = [_Clock(composed(network, k), h, 200), _Clock(joined(network, members), h, 200)]
-    for _ in range(ROUNDS):
-        for clock in clocks:
-            clock.turn()
-    one, two = (c.times for c in clocks)
+    both = [StepperTurns(composed(network, k), h, 200), StepperTurns(joined(network, members), h, 200)]
+    in_turns(both, ROUNDS)
+    one, two = (c.times for c in both)
     ratio = median(b / a for a, b in zip(one, two, strict=True))
-    trials, apart = clocks[1].trials, median(two)
+    trials, apart = both[1].trials, median(two)
     own, unit = own_time.native(network, k, h), own_time.units(network, k, h)
-    return Row(name, 2 * k, len(members), median(one), apart, ratio, trials, own, unit)
+    return ApartCost(name, 2 * k, len(members), median(one), apart, ratio, trials, own, unit)
 
 
 @dataclass(frozen=True)
-class CouplingRow:
+class CouplingCost:
     """CPU time of a step in us by one of the couplings with one held value; where the own time goes."""
 
     network: str
@@ -95,20 +71,19 @@ class CouplingRow:
     own: OwnTime
 
 
-def by_coupling(name: str, network: Network, h: float) -> list[CouplingRow]:
+def by_coupling(name: str, network: Network, h: float) -> list[CouplingCost]:
     """Members of order 2, turn by turn; couplings that a network cannot be stepped by are left out."""
     from phfmu.network.couplings.coupling_table import COUPLINGS
 
-    models, rows = planned(network, 1), list[CouplingRow]()
+    models, rows = planned(network, 1), list[CouplingCost]()
     for row in (r for r in COUPLINGS.values() if r.apart):
         try:
-            clock = _Clock(joined(network, instances(models), coupling=row.kind()), h, 200)
+            turns = StepperTurns(joined(network, instances(models), coupling=row.kind()), h, 200)
         except ValueError:  # no output gives a junction its value
             continue
-        for _ in range(ROUNDS):
-            clock.turn()
+        in_turns([turns], ROUNDS)
         own = own_time.native(network, 1, h, row.kind())
-        rows.append(CouplingRow(name, len(models), row.name, median(clock.times), clock.trials, own))
+        rows.append(CouplingCost(name, len(models), row.name, median(turns.times), turns.trials, own))
     return rows
 
 
@@ -142,7 +117,7 @@ def star(n: int) -> Network:
 
 
 @dataclass(frozen=True)
-class Growth:
+class NetworkCost:
     """CPU times of a network of many members, order 2.
 
     plans: how many were made;  plan, code, join: s for these, for instances with their libraries, and for what joins them with
@@ -157,7 +132,7 @@ class Growth:
     step: float
 
 
-def growth(make: Callable[[int], Network], n: int) -> Growth:
+def growth(make: Callable[[int], Network], n: int) -> NetworkCost:
     collect()  # plans are shared as long as one is in use
     network = make(n)
     before = thread_time()
@@ -170,67 +145,72 @@ def growth(make: Callable[[int], Network], n: int) -> Growth:
     stepper.prepare(0.0, LONG)
     stepper.advance(0.0, LONG, 1)
     after_join = thread_time()
-    clock = _Clock(stepper, LONG, 20)
-    for _ in range(5):
-        clock.turn()
+    turns = StepperTurns(stepper, LONG, 20)
+    in_turns([turns], 5)
     count, plans = len(members), len({id(m.step) for m in models.values()})
     seconds = after_plan - before, after_code - after_plan, after_join - after_code
-    return Growth(count, plans, *seconds, min(clock.times) / count)
+    return NetworkCost(count, plans, *seconds, min(turns.times) / count)
 
 
 NETWORKS = {"ring": ring, "star": star}
 
 
 def table(scenes: Sequence[str] = (), progress: Callable[[str], None] = lambda _: None) -> str:
-    """Tables in Markdown."""
+    """All tables in Markdown, and the machine."""
     from phfmu.studies.bench.apart import crews
-    from phfmu.studies.bench.machine import load, processor
+    from phfmu.studies.bench.machine import machine_line
+
+    tables = (
+        *_scene_tables(scenes or list(SCENES), progress), _coupling_table(progress), _growth_table(progress),
+        crews.table(progress), machine_line(),
+    )  # fmt: skip
+    return "\n\n".join(tables)
+
+
+def _scene_tables(scenes: Sequence[str], progress: Callable[[str], None]) -> tuple[str, str]:
+    """Scenes composed and apart at each order; where the time of their members goes."""
     from phfmu.target import scene
 
-    head = ["scene", "order", "members", "composed us", "apart us", "apart / composed", "trials"]
-    lines, owns = ["| " + " | ".join(head) + " |", "|" + " --- |" * len(head)], []
-    for name in scenes or SCENES:
+    rows, owns = [], []
+    for name in scenes:
         for k in (1, 2, 3):
             progress(f"{name}, order {2 * k}")
             network: Any = scene(name).system
             r = measure(name, network, SCENES[name], k)
-            cells = [r.name, r.order, r.members, f"{r.composed:.1f}", f"{r.apart:.1f}",
-                     f"{r.ratio:.2f}", f"{r.trials:.1f}"]  # fmt: skip
-            lines.append("| " + " | ".join(map(str, cells)) + " |")
+            times = f"{r.composed:.1f}", f"{r.apart:.1f}", f"{r.ratio:.2f}", f"{r.trials:.1f}"
+            rows.append([r.name, r.order, r.members, *times])
             for kind, t in (("native", r.own), ("FMU", r.units)):
-                times = [t.steps, t.exchange, t.join, t.solve, t.columns, t.own]
-                owns.append(f"| {r.name} | {r.order} | {kind} | " + " | ".join(f"{x:.2f}" for x in times) + " |")
-    head = ["scene", "order", "members", "steps us", "exchange us", "join us", "solve us", "columns us", "own us"]
-    lines += ["", "| " + " | ".join(head) + " |", "|" + " --- |" * len(head), *owns]
-    head = [
-        "network",
-        "members",
-        "coupling",
-        "step us",
-        "trials",
-        "exchange us",
-        "join us",
-        "solve us",
-        "own us",
-    ]
-    lines += ["", "| " + " | ".join(head) + " |", "|" + " --- |" * len(head)]
+                parts = [t.steps, t.exchange, t.join, t.solve, t.columns, t.own]
+                owns.append([r.name, r.order, kind, *(f"{x:.2f}" for x in parts)])
+    head = ["scene", "order", "members", "composed us", "apart us", "apart / composed", "trials"]
+    parts = ["steps us", "exchange us", "join us", "solve us", "columns us", "own us"]
+    return markdown_table(head, rows), markdown_table(["scene", "order", "members", *parts], owns)
+
+
+def _coupling_table(progress: Callable[[str], None]) -> str:
+    """All couplings with one held value."""
+    from phfmu.target import scene
+
+    rows = []
     for name, h in HELD.items():
         progress(f"{name}, by all couplings")
-        network = ring(RING) if name == "ring" else scene(name).system
+        network: Any = ring(RING) if name == "ring" else scene(name).system
         for c in by_coupling(name, network, h):
-            cells = [c.step, c.trials, c.own.exchange, c.own.join, c.own.solve, c.own.own]
-            lines.append(
-                f"| {c.network} | {c.members} | {c.coupling} | " + " | ".join(f"{x:.2f}" for x in cells) + " |"
-            )
-    head = ["network", "members", "plans", "plan s", "code s", "join s", "us per member and step"]
-    lines += ["", "| " + " | ".join(head) + " |", "|" + " --- |" * len(head)]
+            numbers = [c.step, c.trials, c.own.exchange, c.own.join, c.own.solve, c.own.own]
+            rows.append([c.network, c.members, c.coupling, *(f"{x:.2f}" for x in numbers)])
+    head = ["network", "members", "coupling", "step us", "trials", "exchange us", "join us", "solve us", "own us"]
+    return markdown_table(head, rows)
+
+
+def _growth_table(progress: Callable[[str], None]) -> str:
+    """Rings and stars of masses and springs."""
+    rows = []
     for make, sizes in SIZES.items():
         for n in sizes:
             progress(f"{make}, {n}")
             g = growth(NETWORKS[make], n)
-            times = f"{g.plan:.2f} | {g.code:.2f} | {g.join:.2f} | {g.step:.2f}"
-            lines.append(f"| {make} | {g.members} | {g.plans} | {times} |")
-    return "\n".join([*lines, "", crews.table(progress), "", f"{processor()}; load {load()}"])
+            rows.append([make, g.members, g.plans, *(f"{x:.2f}" for x in (g.plan, g.code, g.join, g.step))])
+    return markdown_table(["network", "members", "plans", "plan s", "code s", "join s", "us per member and step"], rows)
 
 
 PAGE = """# Members apart

@@ -9,9 +9,10 @@ from time import perf_counter
 from typing import TYPE_CHECKING
 
 from phfmu.studies.bench.apart.networks import composed, instances, joined, planned
+from phfmu.studies.bench.apart.turns import StepperTurns, in_turns
+from phfmu.studies.tables import markdown_table
 
 if TYPE_CHECKING:
-    from phfmu.network.couplings.stepper import Stepper
     from phfmu.network.network import Network
 
 #: chains, links of each
@@ -20,7 +21,7 @@ STEP, TURN, TURNS = 1e-4, 200, 5  # s; steps of a turn (threads are started in e
 
 
 @dataclass(frozen=True)
-class Gain:
+class ThreadGain:
     """Wall time in us: of a trial of all members and of a step by one thread, of a step by `threads`, of one composed.
 
     gain, ratio: medians over neighbouring turns, of one thread / all, and of one thread / composed
@@ -49,65 +50,32 @@ def chains(members: int, links: int) -> Network:
     return network
 
 
-class _Turns:
-    """Wall times of a stepper that goes on from turn to turn, and what it found last."""
-
-    def __init__(self, stepper: Stepper):
-        self._stepper, self._first = stepper, 0
-        stepper.check_start()
-        stepper.prepare(0.0, STEP)
-        self.take()
-        self.times: list[float] = []
-
-    def take(self) -> None:
-        before = perf_counter()
-        steps = self._stepper.advance(0.0, STEP, TURN, self._first)
-        spent = perf_counter() - before
-        if self._first:
-            self.times.append(1e6 * spent / TURN)
-        self._first += TURN
-        self.found, self.trials = steps.signals[-1].tobytes(), steps.spent / TURN
-
-
-def gain(members: int, links: int, threads: int) -> Gain:
+def gain(members: int, links: int, threads: int) -> ThreadGain:
     network = chains(members, links)
     models = planned(network, 1)
-    turns = [_Turns(joined(network, instances(models), n)) for n in (1, threads)]
-    turns.append(_Turns(composed(network, 1)))
-    for _ in range(TURNS):
-        for each in turns:
-            each.take()
+    steppers = [*(joined(network, instances(models), n) for n in (1, threads)), composed(network, 1)]
+    turns = [StepperTurns(s, STEP, TURN, warm=TURN, clock=perf_counter) for s in steppers]
+    in_turns(turns, TURNS)
     one, every, together = (t.times for t in turns)
-    return Gain(
+    return ThreadGain(
         members, links, threads, median(one) / turns[0].trials, median(one), median(every),
         median(a / b for a, b in zip(one, every, strict=True)), median(a / b for a, b in zip(one, together, strict=True)),
-        turns[0].found == turns[1].found,
+        turns[0].end == turns[1].end,
     )  # fmt: skip
 
 
 def table(progress: Callable[[str], None] = lambda _: None) -> str:
-    """In Markdown, with as many threads as cores; a line that says why there is none where there is one core."""
+    """The gains in Markdown, with as many threads as cores; a line that says why there is none where there is one core."""
     from phfmu.processors import processors
 
     threads = processors()
     if threads < 2:
         return "Threads: not measured, this machine has one core."
-    head = [
-        "chains",
-        "links",
-        "trial us",
-        "1 thread us",
-        f"{threads} threads us",
-        "gain",
-        "same bits",
-        "apart / composed",
-    ]
-    lines = ["| " + " | ".join(head) + " |", "|" + " --- |" * len(head)]
+    rows = []
     for members, links in SIZES:
         progress(f"{members} chains of {links}")
         g = gain(members, links, threads)
-        lines.append(
-            f"| {g.members} | {g.links} | {g.trial:.0f} | {g.one:.0f} | {g.all:.0f} | {g.gain:.2f} | "
-            f"{'yes' if g.same else 'no'} | {g.ratio:.2f} |"
-        )
-    return "\n".join(lines)
+        times = f"{g.trial:.0f}", f"{g.one:.0f}", f"{g.all:.0f}", f"{g.gain:.2f}"
+        rows.append([g.members, g.links, *times, "yes" if g.same else "no", f"{g.ratio:.2f}"])
+    times = ["trial us", "1 thread us", f"{threads} threads us"]
+    return markdown_table(["chains", "links", *times, "gain", "same bits", "apart / composed"], rows)

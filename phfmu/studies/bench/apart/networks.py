@@ -41,7 +41,7 @@ def joined(
     threads: int = 1,
     coupling: Coupling | None = None,
 ) -> Coupled:
-    """By default what members exchange at nodes is iterated."""
+    """The members joined by a coupling, by default by Newton's method on what they exchange at nodes."""
     from phfmu.network.couplings.coupled import Coupled
     from phfmu.network.couplings.newton import newton
 

@@ -14,7 +14,7 @@ GROUND = -1
 
 
 @dataclass(frozen=True, eq=False)
-class Rigid:
+class RigidBody:
     """A body at the start: mass [kg], centre of mass [m], inertia (3 x 3) about it [kg.m2], velocity of the centre and angular
     velocity, all in the axes of the world."""
 
@@ -26,7 +26,7 @@ class Rigid:
 
 
 @dataclass(frozen=True, eq=False)
-class Link:
+class BodyJoint:
     """A joint of the bodies a and b at a point [m] with an axis, both of the world at the start.
 
     kind: revolute, spherical or prismatic;  damping [N.m.s/rad] of a revolute one;  torque [N.m] of a motor on b, about the axis
@@ -44,7 +44,7 @@ class Link:
 
 
 @dataclass(frozen=True, eq=False)
-class Strut:
+class BodySpring:
     """A spring between points of the bodies a and b, given in the world at the start [m]."""
 
     a: int
@@ -56,36 +56,36 @@ class Strut:
 
 
 @dataclass(frozen=True, eq=False)
-class Assembly:
+class RigidBodySystem:
     """Bodies and links in an order in which each link of the tree brings a new body; all other links close loops.
 
     points: (body, place in the world at the start [m]), whose places at the end are compared
     """
 
     gravity: Array
-    bodies: tuple[Rigid, ...]
-    links: tuple[Link, ...]
+    bodies: tuple[RigidBody, ...]
+    links: tuple[BodyJoint, ...]
     points: tuple[tuple[int, Array], ...]
-    struts: tuple[Strut, ...] = ()
+    struts: tuple[BodySpring, ...] = ()
     planar: bool = False
 
     @property
-    def tree(self) -> tuple[Link, ...]:
+    def tree(self) -> tuple[BodyJoint, ...]:
         """The links by which the bodies hang on the ground, in the order of the bodies."""
         return tuple(self._split()[0])
 
     @property
-    def loops(self) -> tuple[Link, ...]:
+    def loops(self) -> tuple[BodyJoint, ...]:
         return tuple(self._split()[1])
 
-    def _split(self) -> tuple[list[Link], list[Link]]:
-        tree, loops, known = list[Link](), list[Link](), {GROUND}
+    def _split(self) -> tuple[list[BodyJoint], list[BodyJoint]]:
+        tree, loops, known = list[BodyJoint](), list[BodyJoint](), {GROUND}
         for link in self.links:
             (loops if link.b in known else tree).append(link)
             known.add(link.b)
         return sorted(tree, key=lambda link: link.b), loops
 
-    def rate(self, link: Link) -> Array:
+    def rate(self, link: BodyJoint) -> Array:
         """The velocity of b against a in a link at the start: of turning [rad/s], of a prismatic link of sliding [m/s]."""
         (va, wa), (vb, wb) = (self._motion(i, link.at) for i in (link.a, link.b))
         return vb - va if link.kind == "prismatic" else wb - wa
@@ -112,8 +112,8 @@ def cross_matrix(x: Sequence[float] | Array) -> Array:
     return np.array([[0.0, -x[2], x[1]], [x[2], 0.0, -x[0]], [-x[1], x[0], 0.0]])
 
 
-def at_rest(mass: float, centre: Array, inertia: Array) -> Rigid:
-    return Rigid(mass, centre, inertia, np.zeros(3), np.zeros(3))
+def at_rest(mass: float, centre: Array, inertia: Array) -> RigidBody:
+    return RigidBody(mass, centre, inertia, np.zeros(3), np.zeros(3))
 
 
 def frame_along(axis: Array) -> Array:

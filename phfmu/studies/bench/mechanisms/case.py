@@ -11,21 +11,20 @@ import numpy as np
 
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.variable import time
-from phfmu.engine.build.machine_code import compiled
 from phfmu.network.scene import Scene
-from phfmu.studies.bench.mechanisms.assembly import Array, Assembly
+from phfmu.studies.bench.mechanisms.assembly import Array, RigidBodySystem
 from phfmu.studies.bench.mechanisms.lagrange import Lagrange, lagrange_of
 from phfmu.studies.bench.precision import own
-from phfmu.studies.bench.precision.candidate import Candidate, Run, Solve
-from phfmu.studies.bench.precision.compiled import Buffered
-from phfmu.studies.bench.precision.problem import Judged, problem_of
+from phfmu.studies.bench.precision.array_function import compiled_expression
+from phfmu.studies.bench.precision.candidate import Candidate, CandidateRun, Solve
+from phfmu.studies.bench.precision.problem import SolutionErrors, problem_of
 
 #: schemes by order; with holonomic constraints there is none of order 4
 SCHEMES = {2: "two-level:2", 6: "two-level:6"}
 
 
 @dataclass(frozen=True)
-class Steps:
+class StepSettings:
     """Settings of a case: steps [s] by order of ours, of MuJoCo and exudyn; accuracies of what controls its steps."""
 
     own: dict[int, tuple[float, ...]]
@@ -38,7 +37,7 @@ class Steps:
 
 
 @dataclass(eq=False)
-class Case:
+class MechanismCase:
     """A declaration and the same mechanism as numbers; errors are the largest distance [m] of a coordinate of the points.
 
     observed: observables of the declaration that are the points, in their order;  assembly: None where it is no rigid bodies
@@ -49,8 +48,8 @@ class Case:
     declared: Callable[[], PHDAE]
     observed: tuple[str, ...]
     stop: float
-    steps: Steps
-    assembly: Assembly | None = None
+    steps: StepSettings
+    assembly: RigidBodySystem | None = None
     lagrange: Lagrange | None = None
     judged: tuple[str, ...] = ("positions",)
     reference: Array = field(default_factory=lambda: np.zeros((0, 0)))
@@ -70,7 +69,7 @@ class Case:
 
     @cached_property
     def equations(self) -> Lagrange:
-        """In coordinates of joints."""
+        """Lagrange's equations in coordinates of joints."""
         if self.lagrange is not None:
             return self.lagrange
         assert self.assembly is not None, self.name
@@ -86,9 +85,9 @@ class Case:
         found, self.uncertainty = self.equations.reference([self.stop])
         self.reference = self.flat(found)
 
-    def judge(self, x: Array) -> Judged:
+    def judge(self, x: Array) -> SolutionErrors:
         """`x`: points at the stop time, flat."""
-        return Judged((float(np.abs(x[-1] - self.reference[-1]).max()),), float("nan"), float("nan"))
+        return SolutionErrors((float(np.abs(x[-1] - self.reference[-1]).max()),), float("nan"), float("nan"))
 
     @cached_property
     def _place(self) -> Callable[[float, Array], Array]:
@@ -100,9 +99,7 @@ class Case:
         if held:
             values = ca.vertcat(*(ca.DM(v.start) for v in held))
             points = ca.substitute(points, ca.veccat(*(v.sx for v in held)), ca.SX(values))
-        return Buffered(
-            compiled(ca.Function("points", [time, ca.veccat(*(v.sx for v in d.states))], [ca.densify(points)]))
-        )
+        return compiled_expression("points", [time, ca.veccat(*(v.sx for v in d.states))], points)
 
     def own(self) -> Iterator[Candidate]:
         """The schemes at each step, observed at the points."""
@@ -114,9 +111,9 @@ class Case:
     def _observed(self, candidate: Candidate) -> Solve:
         solve = candidate.prepare()
 
-        def observed(times: Sequence[float], watch: bool = False) -> Run:
+        def observed(times: Sequence[float], watch: bool = False) -> CandidateRun:
             run = solve(times, watch)
             points = np.array([self._place(t, x) for t, x in zip(times, run.x, strict=True)])
-            return Run(points, run.steps, run.iterations, run.ledger)
+            return CandidateRun(points, run.steps, run.iterations, run.ledger)
 
         return observed

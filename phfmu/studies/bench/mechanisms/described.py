@@ -10,10 +10,10 @@ import numpy as np
 from phfmu.studies.bench.mechanisms.assembly import (
     GROUND,
     Array,
-    Assembly,
-    Link,
-    Rigid,
-    Strut,
+    BodyJoint,
+    BodySpring,
+    RigidBody,
+    RigidBodySystem,
     at_rest,
     turned,
     vector,
@@ -24,20 +24,20 @@ Z = vector(0.0, 0.0, 1.0)
 DOWN = vector(0.0, 0.0, -9.81)
 
 
-def chain() -> Assembly:
+def chain() -> RigidBodySystem:
     """Four boxes of 1 x 0.1 x 0.2 m, from 1.0 to 1.3 kg, on balls and hinges in turn, stretched along x, spinning as one body."""
-    spin, boxes, links = vector(1.0, 0.0, 2.0), list[Rigid](), list[Link]()
+    spin, boxes, links = vector(1.0, 0.0, 2.0), list[RigidBody](), list[BodyJoint]()
     for i in range(4):
         mass, centre = 1.0 + 0.1 * i, vector(i + 0.5, 0.0, 0.0)
         inertia = mass / 12 * np.diag((0.01 + 0.04, 1.0 + 0.04, 1.0 + 0.01))
-        boxes.append(Rigid(mass, centre, inertia, np.cross(spin, centre), spin))
+        boxes.append(RigidBody(mass, centre, inertia, np.cross(spin, centre), spin))
         links.append(
-            Link(("spherical", "revolute")[i % 2], i - 1, i, vector(float(i), 0.0, 0.0), vector(0.0, 1.0, 0.0))
+            BodyJoint(("spherical", "revolute")[i % 2], i - 1, i, vector(float(i), 0.0, 0.0), vector(0.0, 1.0, 0.0))
         )
-    return Assembly(DOWN, tuple(boxes), tuple(links), tuple((i, b.centre) for i, b in enumerate(boxes)))
+    return RigidBodySystem(DOWN, tuple(boxes), tuple(links), tuple((i, b.centre) for i, b in enumerate(boxes)))
 
 
-def slider_crank() -> Assembly:
+def slider_crank() -> RigidBodySystem:
     """Crank, rod and piston as the library has them: lengths 0.3 and 0.8 m, crank at 0.5 rad with 10 rad/s."""
     r, l, angle, speed = 0.3, 0.8, 0.5, 10.0
     other = -asin(r * sin(angle) / l)
@@ -46,21 +46,21 @@ def slider_crank() -> Assembly:
     swing = -speed * r * cos(angle) / (l * cos(other))
     at_big = speed * np.cross(Z, big)
     at_small = at_big + swing * np.cross(Z, small - big)
-    crank = Rigid(1.0, big / 2, _plane(1.0 * r**2 / 12), at_big / 2, speed * Z)
-    rod = Rigid(0.5, (big + small) / 2, _plane(0.5 * l**2 / 12), (at_big + at_small) / 2, swing * Z)
-    piston = Rigid(0.8, small, _plane(0.8 * (0.1 * r) ** 2), at_small, 0 * Z)
+    crank = RigidBody(1.0, big / 2, _plane(1.0 * r**2 / 12), at_big / 2, speed * Z)
+    rod = RigidBody(0.5, (big + small) / 2, _plane(0.5 * l**2 / 12), (at_big + at_small) / 2, swing * Z)
+    piston = RigidBody(0.8, small, _plane(0.8 * (0.1 * r) ** 2), at_small, 0 * Z)
     links = (
-        Link("revolute", GROUND, 0, 0 * Z, Z, damping=0.01),
-        Link("revolute", 0, 1, big, Z),
-        Link("prismatic", GROUND, 2, small, vector(1.0, 0.0, 0.0)),
-        Link("revolute", 1, 2, small, Z),
+        BodyJoint("revolute", GROUND, 0, 0 * Z, Z, damping=0.01),
+        BodyJoint("revolute", 0, 1, big, Z),
+        BodyJoint("prismatic", GROUND, 2, small, vector(1.0, 0.0, 0.0)),
+        BodyJoint("revolute", 1, 2, small, Z),
     )
     bodies = (crank, rod, piston)
     points = tuple((i, b.centre) for i, b in enumerate(bodies))
-    return Assembly(vector(0.0, -9.81, 0.0), bodies, links, points, planar=True)
+    return RigidBodySystem(vector(0.0, -9.81, 0.0), bodies, links, points, planar=True)
 
 
-def bricard() -> Assembly:
+def bricard() -> RigidBodySystem:
     """Five thin rods of 1 m and 1 kg along edges of a cube, on six hinges, from rest."""
     corners = np.array(((0, 0, 0), (1, 0, 0), (1, -1, 0), (1, -1, 1), (0, -1, 1), (0, 0, 1)), float)
     axes = np.array(((0, 1, 0), (0, 0, 1), (1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 0, 0)), float)
@@ -68,13 +68,13 @@ def bricard() -> Assembly:
     for a, b in zip(corners, corners[1:], strict=False):
         along = b - a
         rods.append(at_rest(1.0, (a + b) / 2, (np.eye(3) - np.outer(along, along)) / 12))
-    links = [Link("revolute", i - 1, i, corners[i], axes[i]) for i in range(5)]
-    links.append(Link("revolute", 4, GROUND, corners[5], axes[5], spare=True))
+    links = [BodyJoint("revolute", i - 1, i, corners[i], axes[i]) for i in range(5)]
+    links.append(BodyJoint("revolute", 4, GROUND, corners[5], axes[5], spare=True))
     points = tuple((i, corners[i + 1]) for i in range(4))
-    return Assembly(vector(0.0, -9.81, 0.0), tuple(rods), tuple(links), points)
+    return RigidBodySystem(vector(0.0, -9.81, 0.0), tuple(rods), tuple(links), points)
 
 
-def andrews() -> Assembly:
+def andrews() -> RigidBodySystem:
     """Andrews' squeezer at its published start; bodies crank, rod, rocker, link 4, arm 5, link 6, arm 7."""
     beta, theta, gamma = -0.0617138900142764496, 0.0, 0.455279819163070380
     phi, delta = 0.222668390165885885, 0.487364979543842550
@@ -97,18 +97,18 @@ def andrews() -> Assembly:
         at_rest(0.00706, k6 + link6(0.00579, 0.0), _plane(5.667e-7)),
     )
     links = (
-        Link("revolute", GROUND, 0, 0 * Z, Z, torque=0.033),
-        Link("revolute", 0, 1, k2, Z),
-        Link("revolute", GROUND, 2, b, Z),
-        Link("revolute", GROUND, 3, a, Z),
-        Link("revolute", 3, 4, k4, Z),
-        Link("revolute", GROUND, 5, a, Z),
-        Link("revolute", 5, 6, k6, Z),
-        *(Link("revolute", 1, i, f, Z) for i in (2, 4, 6)),
+        BodyJoint("revolute", GROUND, 0, 0 * Z, Z, torque=0.033),
+        BodyJoint("revolute", 0, 1, k2, Z),
+        BodyJoint("revolute", GROUND, 2, b, Z),
+        BodyJoint("revolute", GROUND, 3, a, Z),
+        BodyJoint("revolute", 3, 4, k4, Z),
+        BodyJoint("revolute", GROUND, 5, a, Z),
+        BodyJoint("revolute", 5, 6, k6, Z),
+        *(BodyJoint("revolute", 1, i, f, Z) for i in (2, 4, 6)),
     )
-    strut = Strut(2, GROUND, b + rocker(0.02, -0.018), spring, 4530.0, 0.07785)
+    strut = BodySpring(2, GROUND, b + rocker(0.02, -0.018), spring, 4530.0, 0.07785)
     points = tuple((i, b.centre) for i, b in enumerate(bodies))
-    return Assembly(0 * Z, bodies, links, points, (strut,), planar=True)
+    return RigidBodySystem(0 * Z, bodies, links, points, (strut,), planar=True)
 
 
 #: links of the arm as its file has them: mass, centre along z, moments; joint before it: place, pitch, axis
@@ -123,34 +123,34 @@ UR5 = (
 POSE = (0.3, -1.2, 1.0, -0.8, -1.2, 0.4)
 
 
-def ur5() -> Assembly:
+def ur5() -> RigidBodySystem:
     """The arm UR5 in the pose of the library, falling from rest without friction or torques."""
-    place, turn, bodies, links = np.zeros(3), np.eye(3), list[Rigid](), list[Link]()
+    place, turn, bodies, links = np.zeros(3), np.eye(3), list[RigidBody](), list[BodyJoint]()
     for i, ((mass, z, moments, at, pitch, axis), angle) in enumerate(zip(UR5, POSE, strict=True)):
         place, turn = place + turn @ at, turn @ turned((0.0, 1.0, 0.0), pitch)
-        links.append(Link("revolute", i - 1, i, place, turn @ np.array(axis)))
+        links.append(BodyJoint("revolute", i - 1, i, place, turn @ np.array(axis)))
         turn = turn @ turned(axis, angle)
         bodies.append(at_rest(mass, place + turn @ (0.0, 0.0, z), turn @ np.diag(moments) @ turn.T))
     flange = place + turn @ (0.0, 0.0823, 0.0)
-    return Assembly(DOWN, tuple(bodies), tuple(links), ((2, bodies[2].centre), (5, flange)))
+    return RigidBodySystem(DOWN, tuple(bodies), tuple(links), ((2, bodies[2].centre), (5, flange)))
 
 
-def pendulum() -> Assembly:
+def pendulum() -> RigidBodySystem:
     """A point mass of 1 kg on a massless bar of 1 m, from the horizontal: as one body about its support."""
     bob = at_rest(1.0, vector(-1.0, 0.0, 0.0), np.zeros((3, 3)))
-    link = Link("revolute", GROUND, 0, 0 * Z, Z)
-    return Assembly(vector(0.0, -9.81, 0.0), (bob,), (link,), ((0, bob.centre),), planar=True)
+    link = BodyJoint("revolute", GROUND, 0, 0 * Z, Z)
+    return RigidBodySystem(vector(0.0, -9.81, 0.0), (bob,), (link,), ((0, bob.centre),), planar=True)
 
 
-def four_bar(n: int = 2) -> Assembly:
+def four_bar(n: int = 2) -> RigidBodySystem:
     """n windows of rods of 1 m and 1 kg, upright cranks whose upper ends move with 1 m/s."""
     spin, x, y, m = -Z, vector(1.0, 0.0, 0.0), vector(0.0, 1.0, 0.0), 1.0 / 12
-    cranks = [Rigid(1.0, i * x + y / 2, _plane(m), x / 2, spin) for i in range(n + 1)]
-    couplers = [Rigid(1.0, (i + 0.5) * x + y, _plane(m), x, 0 * Z) for i in range(n)]
-    links = [Link("revolute", GROUND, i, i * x, Z) for i in range(n + 1)]
-    links += [Link("revolute", i, n + 1 + i, i * x + y, Z) for i in range(n)]
-    links += [Link("revolute", i + 1, n + 1 + i, (i + 1) * x + y, Z) for i in range(n)]
-    return Assembly(vector(0.0, -9.81, 0.0), (*cranks, *couplers), tuple(links), ((0, y),), planar=True)
+    cranks = [RigidBody(1.0, i * x + y / 2, _plane(m), x / 2, spin) for i in range(n + 1)]
+    couplers = [RigidBody(1.0, (i + 0.5) * x + y, _plane(m), x, 0 * Z) for i in range(n)]
+    links = [BodyJoint("revolute", GROUND, i, i * x, Z) for i in range(n + 1)]
+    links += [BodyJoint("revolute", i, n + 1 + i, i * x + y, Z) for i in range(n)]
+    links += [BodyJoint("revolute", i + 1, n + 1 + i, (i + 1) * x + y, Z) for i in range(n)]
+    return RigidBodySystem(vector(0.0, -9.81, 0.0), (*cranks, *couplers), tuple(links), ((0, y),), planar=True)
 
 
 def _plane(moment: float) -> Array:

@@ -14,13 +14,13 @@ from typing import Any
 
 import numpy as np
 
-from phfmu.studies.bench.mechanisms.assembly import GROUND, Array, Assembly, Link, frame_along
-from phfmu.studies.bench.mechanisms.case import Case
-from phfmu.studies.bench.precision.candidate import Candidate, Run, missing
+from phfmu.studies.bench.mechanisms.assembly import GROUND, Array, BodyJoint, RigidBodySystem, frame_along
+from phfmu.studies.bench.mechanisms.case import MechanismCase
+from phfmu.studies.bench.precision.candidate import Candidate, CandidateRun, missing
 from phfmu.studies.bench.precision.exudyn_particles import fixed_steps, implicit, library, obstacle
 
 
-def candidates(case: Case) -> Iterator[Candidate]:
+def candidates(case: MechanismCase) -> Iterator[Candidate]:
     if case.assembly is None:
         return
     if why := obstacle():
@@ -40,22 +40,24 @@ def candidates(case: Case) -> Iterator[Candidate]:
 class Exudyn:
     """A system and its solver, made once; `places` reads the points off."""
 
-    def __init__(self, case: Case, mbs: Any, kept: Any, places: Callable[[], list[Array]], settings: Any, solver: Any):
+    def __init__(
+        self, case: MechanismCase, mbs: Any, kept: Any, places: Callable[[], list[Array]], settings: Any, solver: Any
+    ):
         self._case, self.mbs, self._kept, self._places = case, mbs, kept, places
         self._settings, self._solver = settings, solver
         solver.InitializeSolver(mbs, settings)
 
-    def __call__(self, times: Sequence[float], watch: bool = False) -> Run:
+    def __call__(self, times: Sequence[float], watch: bool = False) -> CandidateRun:
         if list(times) != [self._case.stop]:
             raise ValueError(f"exudyn is prepared for t = {self._case.stop:g} s")
         self._solver.InitializeSolverInitialConditions(self.mbs, self._settings)
         if not self._solver.SolveSteps(self.mbs, self._settings):
             raise RuntimeError(f"no convergence at t = {self._solver.it.currentTime:g} s")
         steps = int(self._solver.it.currentStepIndex)
-        return Run(self._case.flat(np.concatenate(self._places())[None]), steps)
+        return CandidateRun(self._case.flat(np.concatenate(self._places())[None]), steps)
 
 
-def _bodies(case: Case, trapezoidal: bool, h: float) -> Exudyn:
+def _bodies(case: MechanismCase, trapezoidal: bool, h: float) -> Exudyn:
     """Rigid bodies in Euler parameters, or in the plane, with a constraint for each link."""
     lib, assembly = library(), case.assembly
     assert assembly is not None
@@ -68,7 +70,7 @@ def _bodies(case: Case, trapezoidal: bool, h: float) -> Exudyn:
 class _Bodies:
     """An assembly of bodies; all frames have the axes of the world at the start and their origin in the centre of mass."""
 
-    def __init__(self, lib: Any, assembly: Assembly):
+    def __init__(self, lib: Any, assembly: RigidBodySystem):
         self._lib, self._items, self._assembly = lib, import_module("exudyn.itemInterface"), assembly
         inertia = import_module("exudyn.rigidBodyUtilities").RigidBodyInertia
         self._container: Any = lib.SystemContainer()
@@ -95,7 +97,7 @@ class _Bodies:
     def _local(self, body: int, at: Array) -> list[float]:
         return (at if body == GROUND else at - self._assembly.bodies[body].centre).tolist()
 
-    def _join(self, link: Link) -> None:
+    def _join(self, link: BodyJoint) -> None:
         pair = [self._numbers[link.a], self._numbers[link.b]]
         if self._assembly.planar:
             self._join_in_plane(link, pair)
@@ -116,7 +118,7 @@ class _Bodies:
         if link.torque:
             self.mbs.CreateTorque(itemNumber=pair[1], loadVector=(link.torque * link.axis).tolist())
 
-    def _join_in_plane(self, link: Link, pair: list[Any]) -> None:
+    def _join_in_plane(self, link: BodyJoint, pair: list[Any]) -> None:
         markers = [
             self.mbs.AddMarker(self._items.MarkerBodyRigid(bodyNumber=n, localPosition=self._local(i, link.at)))
             for n, i in zip(pair, (link.a, link.b), strict=True)
@@ -136,11 +138,11 @@ class _Bodies:
         ]
 
 
-def _tree(case: Case, method: str, setting: float) -> Exudyn:
+def _tree(case: MechanismCase, method: str, setting: float) -> Exudyn:
     """The tree of joints by an explicit method; setting: a step [s], or a relative tolerance for one with step control."""
     lib, assembly = library(), case.assembly
     assert assembly is not None
-    made = _Tree(lib, assembly)
+    made = _KinematicTree(lib, assembly)
     controlled = method == "DOPRI5"
     settings = fixed_steps(lib, case.stop, case.steps.exudyn_tree[0] if controlled else setting)
     run, solver = settings.timeIntegration, lib.MainSolverExplicit()
@@ -153,10 +155,10 @@ def _tree(case: Case, method: str, setting: float) -> Exudyn:
     return Exudyn(case, made.mbs, made, made.places, settings, solver)
 
 
-class _Tree:
+class _KinematicTree:
     """Links whose frames have the axis of their joint for z; a ball is three hinges about x, y, z."""
 
-    def __init__(self, lib: Any, assembly: Assembly):
+    def __init__(self, lib: Any, assembly: RigidBodySystem):
         self._lib, self._assembly = lib, assembly
         utilities = import_module("exudyn.rigidBodyUtilities")
         self._container: Any = lib.SystemContainer()

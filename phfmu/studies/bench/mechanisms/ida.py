@@ -8,60 +8,44 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from functools import cached_property
-from importlib import import_module
-from importlib.util import find_spec
-from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from phfmu.engine.build.machine_code import compiled
-from phfmu.studies.bench.mechanisms.case import Case
+from phfmu.studies.bench.mechanisms.case import MechanismCase
 from phfmu.studies.bench.mechanisms.lagrange import Array, Lagrange
-from phfmu.studies.bench.precision.candidate import Candidate, Run, missing
-from phfmu.studies.bench.precision.compiled import Buffered
+from phfmu.studies.bench.precision.candidate import Candidate, CandidateRun
+from phfmu.studies.bench.precision.sundae import ImplicitSystem, missing_ida, solved
 
 
-def candidates(case: Case) -> Iterator[Candidate]:
+def candidates(case: MechanismCase) -> Iterator[Candidate]:
     if not case.steps.ida:
         return
-    if find_spec("sksundae") is None:
-        yield missing("SUNDIALS IDA", "not installed; pip install scikit-sundae")
+    if remark := [*missing_ida()]:
+        yield from remark
         return
-    equations = Stabilised(case.equations)
+    equations = StabilisedEquations(case.equations)
     for rtol in case.steps.ida:
-        yield Candidate("SUNDIALS IDA, GGL", f"rtol={rtol:g}", rtol, lambda r=rtol: _Ida(case, equations, r))
+        yield Candidate("SUNDIALS IDA, GGL", f"rtol={rtol:g}", rtol, lambda r=rtol: _IdaMechanism(case, equations, r))
 
 
-class Stabilised:
-    """Residual F(t, y, y') and dF/dy + c dF/dy', compiled; the consistent start."""
+class StabilisedEquations:
+    """Lagrange's equations with both levels of constraints, compiled when first asked for; the consistent start."""
 
     def __init__(self, equations: Lagrange):
         self.of = equations
 
     @cached_property
-    def _made(self) -> tuple[Buffered, Buffered]:
+    def implicit(self) -> ImplicitSystem:
         e = self.of
         m, n = e.g.numel(), e.n
         lam, mu = ca.SX.sym("lambda", m), ca.SX.sym("mu", m)
         y = ca.vertcat(e.p, e.v, lam, mu)
-        yp, c = ca.SX.sym("yp", y.numel()), ca.SX.sym("c")
+        yp = ca.SX.sym("yp", y.numel())
         full = ca.vertcat(
             yp[:n] - e.v + e.slope.T @ mu, e.mass @ yp[n : 2 * n] - e.right + e.slope.T @ lam, e.velocity_row, e.g
         )
-        matrix = ca.jacobian(full, y) + c * ca.jacobian(full, yp)
-        residual = ca.Function("residual", [e.t, y, yp], [ca.densify(full)])
-        return Buffered(compiled(residual)), Buffered(
-            compiled(ca.Function("matrix", [e.t, y, yp, c], [ca.densify(matrix)]))
-        )
-
-    @property
-    def residual(self) -> Buffered:
-        return self._made[0]
-
-    @property
-    def matrix(self) -> Buffered:
-        return self._made[1]
+        return ImplicitSystem(e.t, y, yp, full, 2 * n)
 
     def start(self) -> tuple[Array, Array]:
         e = self.of
@@ -73,35 +57,17 @@ class Stabilised:
         return y, yp
 
 
-class _Ida:
-    def __init__(self, case: Case, equations: Stabilised, rtol: float):
-        IDA: Any = import_module("sksundae.ida").IDA
+class _IdaMechanism:
+    """IDA made once, whose runs give the points of a mechanism."""
+
+    def __init__(self, case: MechanismCase, equations: StabilisedEquations, rtol: float):
         self._case, self._e = case, equations
-        n, m = equations.of.n, equations.of.g.numel()
-        size = 2 * (n + m)
-        atol = np.full(size, 1e6)
-        atol[: 2 * n] = 1e-2 * rtol
-        rate = float(np.abs(equations.of.v0).max(initial=0.0))
-        atol[n : 2 * n] *= max(rate, 1.0)
-        residual_of, matrix_of = equations.residual, equations.matrix
+        n, rate = equations.of.n, float(np.abs(equations.of.v0).max(initial=0.0))
+        atol = np.full(2 * n, 1e-2 * rtol)
+        atol[n:] *= max(rate, 1.0)
+        self._solver, self._start = equations.implicit.solver(rtol, atol), equations.start()
 
-        def residual(t: float, y: Array, yp: Array, res: Array) -> None:
-            res[:] = residual_of(t, y, yp)
-
-        def matrix(t: float, y: Array, yp: Array, res: Array, c: float, jac: Array) -> None:
-            jac[:] = matrix_of(t, y, yp, c).reshape(size, size, order="F")
-
-        self._solver = IDA(
-            residual, jacfn=matrix, rtol=rtol, atol=atol, algebraic_idx=list(range(2 * n, size)) or None,
-            max_num_steps=10_000_000,
-        )  # fmt: skip
-        self._start = equations.start()
-
-    def __call__(self, times: Sequence[float], watch: bool = False) -> Run:
-        found = self._solver.solve(np.array([0.0, *times]), *self._start)
-        if not found.success:
-            raise RuntimeError(str(found.message))
-        e = self._e.of
-        rows = np.array([found.y[-1]]) if len(times) == 1 else np.array(found.y[1:])
+    def __call__(self, times: Sequence[float], watch: bool = False) -> CandidateRun:
+        rows, e = solved(self._solver, 0.0, times, *self._start), self._e.of
         points = np.array([e.place(t, y[: e.n]) for t, y in zip(times, rows, strict=True)])
-        return Run(self._case.flat(points))
+        return CandidateRun(self._case.flat(points))

@@ -16,9 +16,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.engine.build.machine_code import compiled
-from phfmu.studies.bench.mechanisms.assembly import GROUND, Assembly, Link, cross_matrix
-from phfmu.studies.bench.precision.compiled import Buffered
+from phfmu.studies.bench.mechanisms.assembly import GROUND, BodyJoint, RigidBodySystem, cross_matrix
+from phfmu.studies.bench.precision.array_function import compiled_expression
 
 Array = NDArray[np.float64]
 #: relative tolerances of the reference; the distance of its solutions is its uncertainty
@@ -71,8 +70,8 @@ class Lagrange:
         row, n, m, redundant = self.velocity_row, self.n, self.g.numel(), self.redundant
         drift = ca.jtimes(row, self.p, self.v) + ca.jacobian(row, self.t)
         matrix = ca.vertcat(ca.horzcat(self.mass, self.slope.T), ca.horzcat(self.slope, ca.SX(m, m)))
-        sides = ca.densify(ca.horzcat(matrix, ca.vertcat(self.right, -drift)))
-        f = Buffered(compiled(ca.Function("rates", [self.t, self.p, self.v], [sides])))
+        sides = ca.horzcat(matrix, ca.vertcat(self.right, -drift))
+        f = compiled_expression("rates", [self.t, self.p, self.v], sides)
 
         def solved(t: float, p: Array, v: Array) -> tuple[Array, Array]:
             made = f(t, p, v).reshape(n + m, n + m + 1, order="F")
@@ -106,7 +105,7 @@ class Lagrange:
     @cached_property
     def place(self) -> Callable[[float, Array], Array]:
         """(t, p) -> points, flat."""
-        return Buffered(compiled(ca.Function("places", [self.t, self.p], [ca.densify(self.points)])))
+        return compiled_expression("places", [self.t, self.p], self.points)
 
     def reference(self, times: Sequence[float]) -> tuple[Array, float]:
         """The points at the times, and their distance from the solution at the tolerance before."""
@@ -126,10 +125,10 @@ class _Pose:
         return self.turn @ ca.SX(ca.DM(x - self.origin)) + self.place
 
 
-class _Tree:
+class _JointTree:
     """Poses of the bodies as functions of joint coordinates, 0 at the start; balls have Euler parameters (1, 0, 0, 0) there."""
 
-    def __init__(self, assembly: Assembly):
+    def __init__(self, assembly: RigidBodySystem):
         self.poses = {GROUND: _Pose(ca.SX.eye(3), np.zeros(3), ca.SX.zeros(3))}
         self.coordinates, self.starts, self.rates = list[ca.SX](), list[float](), list[float]()
         self.lengths, self.assembly = list[ca.SX](), assembly
@@ -147,7 +146,7 @@ class _Tree:
         self.rates += rate
         return p
 
-    def _moved(self, before: _Pose, link: Link) -> _Pose:
+    def _moved(self, before: _Pose, link: BodyJoint) -> _Pose:
         at, rate = before.at(link.at), self.assembly.rate(link)
         if link.kind == "prismatic":
             s = self._new(1, [0.0], [float(link.axis @ rate)])
@@ -161,9 +160,9 @@ class _Tree:
         return _Pose(before.turn @ _of_parameters(e), link.at, at)
 
 
-def lagrange_of(assembly: Assembly) -> Lagrange:
+def lagrange_of(assembly: RigidBodySystem) -> Lagrange:
     """Lagrange's equations of bodies and links."""
-    tree = _Tree(assembly)
+    tree = _JointTree(assembly)
     p, t = ca.vertcat(*tree.coordinates), ca.SX.sym("t")
     v = ca.SX.sym("v", p.numel())
     kinetic, potential = ca.SX(0), ca.SX(0)
@@ -188,7 +187,7 @@ def lagrange_of(assembly: Assembly) -> Lagrange:
     return Lagrange(t, p, v, kinetic, potential, force, g, points, np.array(tree.starts), np.array(tree.rates))
 
 
-def _closing(assembly: Assembly, tree: _Tree, link: Link) -> list[ca.SX]:
+def _closing(assembly: RigidBodySystem, tree: _JointTree, link: BodyJoint) -> list[ca.SX]:
     """Rows of a hinge or ball that closes a loop; in the plane only those in it."""
     if link.kind == "prismatic":
         raise ValueError("a loop is closed by a hinge or a ball; let the slider be in the tree")

@@ -14,16 +14,16 @@ from typing import Any
 
 import numpy as np
 
-from phfmu.studies.bench.mechanisms.assembly import GROUND, Array, Assembly, Link
-from phfmu.studies.bench.mechanisms.case import Case
-from phfmu.studies.bench.precision.candidate import Candidate, Run, missing
+from phfmu.studies.bench.mechanisms.assembly import GROUND, Array, BodyJoint, RigidBodySystem
+from phfmu.studies.bench.mechanisms.case import MechanismCase
+from phfmu.studies.bench.precision.candidate import Candidate, CandidateRun, missing
 
 #: moment [kg.m2] that thin rods and point masses get, which MuJoCo wants positive
 LEAST = 1e-12
 KINDS = {"revolute": "hinge", "spherical": "ball", "prismatic": "slide"}
 
 
-def candidates(case: Case) -> Iterator[Candidate]:
+def candidates(case: MechanismCase) -> Iterator[Candidate]:
     if case.assembly is None or not case.steps.mujoco:
         return
     if find_spec("mujoco") is None:
@@ -33,7 +33,7 @@ def candidates(case: Case) -> Iterator[Candidate]:
         yield Candidate("MuJoCo RK4", f"h={h:g}", h, lambda h=h: MuJoCo(case, h))
 
 
-def xml(assembly: Assembly, h: float) -> str:
+def xml(assembly: RigidBodySystem, h: float) -> str:
     """An MJCF whose bodies have the axes of the world at the start, where all joint coordinates are zero."""
     loops = "".join(_equality(assembly, link, h) for link in assembly.loops)
     off = "" if loops else ' constraint="disable"'
@@ -50,7 +50,7 @@ def _words(values: Array) -> str:
     return " ".join(repr(float(v)) for v in values)
 
 
-def _bodies(assembly: Assembly, parent: int, origin: Array, sites: dict[int, str]) -> str:
+def _bodies(assembly: RigidBodySystem, parent: int, origin: Array, sites: dict[int, str]) -> str:
     """Bodies that hang on a parent; the origin of each is at its joint."""
     out = ""
     for link in assembly.tree:
@@ -69,18 +69,18 @@ def _bodies(assembly: Assembly, parent: int, origin: Array, sites: dict[int, str
     return out
 
 
-def origins(assembly: Assembly) -> dict[int, Array]:
-    """Where the frames of the bodies are at the start."""
+def origins(assembly: RigidBodySystem) -> dict[int, Array]:
+    """Origins of the frames of the bodies at the start [m]."""
     return {GROUND: np.zeros(3), **{link.b: link.at for link in assembly.tree}}
 
 
-def anchors(assembly: Assembly, link: Link) -> list[Array]:
+def anchors(assembly: RigidBodySystem, link: BodyJoint) -> list[Array]:
     """The points that hold a loop together: one of a ball, or in the plane; two along the axis of a hinge in space."""
     along = (0.0,) if assembly.planar or link.kind == "spherical" else (-0.5, 0.5)
     return [link.at + s * link.axis for s in along]
 
 
-def _equality(assembly: Assembly, link: Link, h: float) -> str:
+def _equality(assembly: RigidBodySystem, link: BodyJoint, h: float) -> str:
     """A loop as soft constraints of its anchors."""
     where = origins(assembly)
     first, second = (("world" if i == GROUND else f"b{i}") for i in (link.a, link.b))
@@ -95,7 +95,7 @@ def _equality(assembly: Assembly, link: Link, h: float) -> str:
     )
 
 
-def _tendons(assembly: Assembly) -> tuple[str, dict[int, str]]:
+def _tendons(assembly: RigidBodySystem) -> tuple[str, dict[int, str]]:
     """Springs as spatial tendons between sites."""
     where, sites, tendons = origins(assembly), dict[int, str](), ""
     for n, s in enumerate(assembly.struts):
@@ -111,7 +111,7 @@ def _tendons(assembly: Assembly) -> tuple[str, dict[int, str]]:
 class MuJoCo:
     """An assembly stepped by RK4; gives the points at the times, which are multiples of the step."""
 
-    def __init__(self, case: Case, h: float):
+    def __init__(self, case: MechanismCase, h: float):
         assert case.assembly is not None
         mujoco: Any = import_module("mujoco")
         self._lib, self._h, self._case, self._assembly = mujoco, h, case, case.assembly
@@ -128,7 +128,7 @@ class MuJoCo:
         where = origins(self._assembly)
         self._points = [(self._model.body(f"b{i}").id, x - where[i]) for i, x in self._assembly.points]
 
-    def __call__(self, times: Sequence[float], watch: bool = False) -> Run:
+    def __call__(self, times: Sequence[float], watch: bool = False) -> CandidateRun:
         lib, data = self._lib, self._data
         lib.mj_resetData(self._model, data)
         data.qvel[:], data.qfrc_applied[:] = self._start, self._torque
@@ -139,4 +139,4 @@ class MuJoCo:
             done = n
             lib.mj_kinematics(self._model, data)
             rows.append(np.concatenate([data.xpos[i] + data.xmat[i].reshape(3, 3) @ x for i, x in self._points]))
-        return Run(self._case.flat(np.array(rows)), done)
+        return CandidateRun(self._case.flat(np.array(rows)), done)

@@ -14,16 +14,16 @@ from typing import Any
 
 import numpy as np
 
-from phfmu.studies.bench.mechanisms.assembly import Array, Assembly, Link, frame_along
-from phfmu.studies.bench.mechanisms.case import Case
+from phfmu.studies.bench.mechanisms.assembly import Array, BodyJoint, RigidBodySystem, frame_along
+from phfmu.studies.bench.mechanisms.case import MechanismCase
 from phfmu.studies.bench.mechanisms.mujoco_models import anchors
-from phfmu.studies.bench.precision.candidate import Candidate, NotAvailable, Run, missing
+from phfmu.studies.bench.precision.candidate import Candidate, CandidateRun, NotAvailable, missing
 
 RUN = Path(__file__).with_name("opensim_run.py")
 VARIABLE = "PHFMU_OPENSIM"
 
 
-def candidates(case: Case) -> Iterator[Candidate]:
+def candidates(case: MechanismCase) -> Iterator[Candidate]:
     if not case.steps.opensim or case.assembly is None:
         return
     python = os.environ.get(VARIABLE)
@@ -40,16 +40,16 @@ def candidates(case: Case) -> Iterator[Candidate]:
         )  # fmt: skip
 
 
-def _started(kept: list[Process], python: str, case: Case) -> Process:
+def _started(kept: list[Process], python: str, case: MechanismCase) -> Process:
     if not kept:
         kept.append(Process(python, case))
     return kept[0]
 
 
-def described(assembly: Assembly, stop: float) -> dict[str, Any]:
+def described(assembly: RigidBodySystem, stop: float) -> dict[str, Any]:
     """An assembly as OpenSim's process takes it."""
 
-    def link_of(link: Link) -> dict[str, Any]:
+    def link_of(link: BodyJoint) -> dict[str, Any]:
         z = frame_along(link.axis)
         frame = z if link.kind == "revolute" else z[:, [2, 0, 1]]
         return {
@@ -80,7 +80,7 @@ def described(assembly: Assembly, stop: float) -> dict[str, Any]:
 class Process:
     """OpenSim's interpreter with one model."""
 
-    def __init__(self, python: str, case: Case):
+    def __init__(self, python: str, case: MechanismCase):
         assert case.assembly is not None
         try:
             self._process = subprocess.Popen(
@@ -113,9 +113,11 @@ class Process:
 
 
 class _OpenSim:
-    def __init__(self, case: Case, process: Process, accuracy: float):
+    """Runs of OpenSim's process at an accuracy."""
+
+    def __init__(self, case: MechanismCase, process: Process, accuracy: float):
         self._case, self._process, self._accuracy = case, process, accuracy
 
-    def __call__(self, times: Sequence[float], watch: bool = False) -> Run:
+    def __call__(self, times: Sequence[float], watch: bool = False) -> CandidateRun:
         cpu, points = self._process.run(self._accuracy)
-        return Run(self._case.flat(points[None]), cpu=cpu)
+        return CandidateRun(self._case.flat(points[None]), cpu=cpu)

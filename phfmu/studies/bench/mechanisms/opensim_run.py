@@ -12,7 +12,7 @@ from time import process_time
 from typing import Any
 
 
-class Model:
+class OpenSimModel:
     """Bodies whose frames have the axes of the world at the start and their origin in the joint of the tree."""
 
     def __init__(self, opensim: Any, given: dict[str, Any]):
@@ -96,7 +96,7 @@ def main() -> None:
     import opensim  # type: ignore[import-not-found]
 
     opensim.Logger.setLevelString("Off")
-    model = Model(opensim, json.loads(sys.stdin.readline()))
+    model = OpenSimModel(opensim, json.loads(sys.stdin.readline()))
     for line in sys.stdin:
         try:
             answer = model.run(float(line))

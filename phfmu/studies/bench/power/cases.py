@@ -13,8 +13,8 @@ from phfmu.discretise.model import Model
 from phfmu.network.network import Network
 from phfmu.studies.bench.power import circuit, dpsim, own
 from phfmu.studies.bench.power.kundur import Kundur
-from phfmu.studies.bench.precision.candidate import Candidate, Run, Solve, missing
-from phfmu.studies.bench.precision.problem import Judged
+from phfmu.studies.bench.precision.candidate import Candidate, CandidateRun, Solve, missing
+from phfmu.studies.bench.precision.problem import SolutionErrors
 
 Array = NDArray[np.float64]
 #: rows are compared at multiples of this [s], of which every step is a part
@@ -55,10 +55,12 @@ class GridCase:
     def grid(self) -> Array:
         return np.array([self.stop])
 
-    def judge(self, x: Array) -> Judged:
+    def judge(self, x: Array) -> SolutionErrors:
         """`x`: rows from EVERY on; the largest difference relative to the scale."""
         n = min(len(x), len(self.reference))
-        return Judged((float(np.abs(x[:n] - self.reference[:n]).max()) / self.scale,), float("nan"), float("nan"))
+        return SolutionErrors(
+            (float(np.abs(x[:n] - self.reference[:n]).max()) / self.scale,), float("nan"), float("nan")
+        )
 
     def candidates(self) -> Iterator[Candidate]:
         network = self.declared()
@@ -77,9 +79,9 @@ class GridCase:
                 yield Candidate(f"DPsim {model}", f"h={1e6 * h:g} us", h, lambda m=model, h=h: self._dpsim(m, h))
 
     def _own(self, model: Model, h: float) -> Solve:
-        solve = own.Stepped(model, self.columns, h, self.net, EVERY)
+        solve = own.FixedStepNetwork(model, self.columns, h, self.net, EVERY)
 
-        def read(times: Sequence[float], watch: bool = False) -> Run:
+        def read(times: Sequence[float], watch: bool = False) -> CandidateRun:
             run = solve(times, watch)
             return replace(run, x=run.x / self.unit) if watch else run
 
@@ -88,10 +90,10 @@ class GridCase:
     def _dpsim(self, model: str, h: float) -> Solve:
         net = self.net | {"model": model}
 
-        def solve(times: Sequence[float], watch: bool = False) -> Run:
+        def solve(times: Sequence[float], watch: bool = False) -> CandidateRun:
             found = dpsim.run(net, h, log=watch, every=EVERY)
             rows = self.read(model, np.array(found.get("rows", [])))
-            return Run(rows, round(self.stop / h), cpu=found["cpu"])
+            return CandidateRun(rows, round(self.stop / h), cpu=found["cpu"])
 
         return solve
 
@@ -142,7 +144,7 @@ def nine_buses(t_clear: float, name: str) -> GridCase:
     columns = tuple(f"gen{k}.p" for k in (1, 2, 3))
     declared = own.nine_buses()
     model = own.planned(declared, 6)
-    momenta = own.Stepped(model, columns, 50 * US, net, EVERY)([NINE_STOP], watch=True).x
+    momenta = own.FixedStepNetwork(model, columns, 50 * US, net, EVERY)([NINE_STOP], watch=True).x
     at_start = np.array([own.start_of(model, n) for n in columns])
     exact = momenta / at_start
     steps = {2: (200 * US, 50 * US), 4: (200 * US, 50 * US)}

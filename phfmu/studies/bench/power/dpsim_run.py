@@ -14,7 +14,7 @@ from time import process_time
 from typing import Any
 
 
-class Built:
+class DPsimTopologies:
     """Topologies of a network for the power flow (`sp`) and for the run in phases (`emt`)."""
 
     def __init__(self, dpsim: Any, net: dict[str, Any]):
@@ -117,7 +117,7 @@ def ran(net: dict[str, Any], folder: str) -> dict[str, Any]:
     import dpsimpy as d  # type: ignore[import-not-found]
 
     d.Logger.set_log_dir(folder)
-    built = Built(d, net)
+    built = DPsimTopologies(d, net)
     flow, voltages = built.flow()
     system, machines, fault = built.phases()
     system.init_with_powerflow(flow, d.Domain.EMT)

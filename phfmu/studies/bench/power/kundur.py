@@ -8,7 +8,6 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.engine.build.machine_code import compiled
 from phfmu.studies.bench.power.circuit import (
     ALPHA,
     C_LINE,
@@ -29,7 +28,7 @@ from phfmu.studies.bench.power.circuit import (
     phases,
     power_flow,
 )
-from phfmu.studies.bench.precision.compiled import Buffered
+from phfmu.studies.bench.precision.array_function import ArrayFunction, compiled_expression
 
 Array = NDArray[np.float64]
 
@@ -57,7 +56,7 @@ class Kundur:
         self.x0 = np.concatenate([psid, psiq, [0.0, 0.0, theta], line, np.array(phases(flow.machine * peak)) / VB])
 
     @cached_property
-    def rate(self) -> Buffered:
+    def rate(self) -> ArrayFunction:
         """(t, x, conductance of the fault in per unit) -> x' [1/s], compiled."""
         p, t, x, fault = PU, ca.SX.sym("t"), ca.SX.sym("x", 15), ca.SX.sym("fault")
         psid, psiq, il, vc = x[:3], x[3:6], x[9:12], x[12:]
@@ -74,7 +73,7 @@ class Kundur:
         r, l, cc, g = R_LINE / ZB, L_LINE / LB, C_LINE / 2 * W * ZB, G_LINE / 2 * ZB + fault
         slow = [W * (v_0 - p["Rs"] * i_0), (self.tm + torque) / (2 * p["H"]), W * x[7]]
         rates = ca.vertcat(W * d, W * q, *slow, W * (vc - grid - r * il) / l, W * (-into - il - g * vc) / cc)
-        return Buffered(compiled(ca.Function("kundur", [t, x, fault], [ca.densify(rates)])))
+        return compiled_expression("kundur", [t, x, fault], rates)
 
     def currents(self, times: Array, t_clear: float, rtol: float = 1e-11) -> Array:
         """Stator currents [A] (times x 3); the fault is cut off at t_clear [s]."""

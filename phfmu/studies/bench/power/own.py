@@ -13,7 +13,7 @@ from phfmu.discretise.model import Model, build_model
 from phfmu.network.network import Network
 from phfmu.network.scene import Event
 from phfmu.studies.bench.power import circuit
-from phfmu.studies.bench.precision.candidate import Run
+from phfmu.studies.bench.precision.candidate import CandidateRun
 
 Array = NDArray[np.float64]
 
@@ -113,7 +113,7 @@ def _phasor(net: Network, member: str, state: str) -> complex:
     return complex(2 / 3 * np.sum(np.array(start) * np.exp(1j * circuit.ALPHA)))
 
 
-class Stepped:
+class FixedStepNetwork:
     """A network in steps of h [s]; the fault has a conductance [S] from one time to another [s].
 
     Columns by name are read at multiples of `every` [s] when the run is watched; timed runs record nothing.
@@ -129,12 +129,12 @@ class Stepped:
         self._events = [Event(on, "fault.G", 1 / net["fault"]["R"]), Event(off, "fault.G", 0.0)]
         self._events = [e for e in self._events if e.t < self._stop]
 
-    def __call__(self, times: Sequence[float], watch: bool = False) -> Run:
+    def __call__(self, times: Sequence[float], watch: bool = False) -> CandidateRun:
         self._instance.reset()
         self._steps.set_value("fault.G", 0.0)
         return self._watched() if watch else self._bare()
 
-    def _bare(self) -> Run:
+    def _bare(self) -> CandidateRun:
         marks, steps = [0.0, *(e.t for e in self._events), self._stop], 0
         for start, end, event in zip(marks, marks[1:], [None, *self._events], strict=False):
             if event is not None:
@@ -142,16 +142,16 @@ class Stepped:
             n = round((end - start) / self._h)
             self._instance.run(start, self._h, n, record=())
             steps += n
-        return Run(np.zeros((0, 0)), steps)
+        return CandidateRun(np.zeros((0, 0)), steps)
 
-    def _watched(self) -> Run:
+    def _watched(self) -> CandidateRun:
         from phfmu.runs.loop import run
         from phfmu.runs.options import Options
 
         found = run(self._steps, Options(stop=self._stop, step=self._h, events=tuple(self._events)))
         stride = round(self._every / self._h)
         rows = np.stack([found.column(n)[::stride] for n in self._names], axis=1)
-        return Run(rows[1:], len(found.time) - 1)
+        return CandidateRun(rows[1:], len(found.time) - 1)
 
 
 def planned(network: Network, order: int) -> Model:

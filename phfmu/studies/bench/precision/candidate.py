@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Run:
+class CandidateRun:
     """States at the times asked for (times x n1); steps, iterations and the worst ledger residual [J] where they are known.
 
     cpu: CPU time of the run [s] where a process of its own told it
@@ -29,7 +29,7 @@ class Run:
 class Solve(Protocol):
     """Solves from the start to the last of `times`; `watch`: also what costs time to look at (the ledger)."""
 
-    def __call__(self, times: Sequence[float], watch: bool = False) -> Run: ...
+    def __call__(self, times: Sequence[float], watch: bool = False) -> CandidateRun: ...
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class NotAvailable(Exception):
 
 
 def missing(peer: str, why: str) -> Candidate:
-    """In place of the candidates of a peer that is not there: one line in the remarks, with the remedy in `why`."""
+    """The candidate that stands for a peer that is not there: one line in the remarks, with the remedy in `why`."""
 
     def prepare() -> Solve:
         raise NotAvailable(why)

@@ -20,8 +20,8 @@ from typing import Any
 
 import numpy as np
 
-from phfmu.studies.bench.precision.candidate import Candidate, Run, missing
-from phfmu.studies.bench.precision.problem import Problem
+from phfmu.studies.bench.precision.candidate import Candidate, CandidateRun, missing
+from phfmu.studies.bench.precision.problem import InitialValueProblem
 
 STEPS = (0.02, 0.01, 0.005, 0.002, 0.001, 0.0005)
 #: the first version with the names of settings used here
@@ -52,7 +52,7 @@ class Particles:
         return self.dim * len(self.masses) + len(self.bars)
 
 
-def particles(problem: Problem) -> Particles | None:
+def particles(problem: InitialValueProblem) -> Particles | None:
     """The parts of a target this file knows, numbers from its declaration; None for all others."""
     values = {v.name: v.start for v in problem.declaration.parameters}
     if problem.name == "four_particle":
@@ -66,7 +66,7 @@ def particles(problem: Problem) -> Particles | None:
     return None
 
 
-def candidates(problem: Problem) -> Iterator[Candidate]:
+def candidates(problem: InitialValueProblem) -> Iterator[Candidate]:
     """Generalized-alpha on constrained positions (index 3), the trapezoidal rule on constrained velocities (index 2)."""
     known = particles(problem)
     if known is None:
@@ -189,7 +189,7 @@ class _System:
 class _Exudyn:
     """A solver per time asked for: its steps end there, and every run starts at zero."""
 
-    def __init__(self, problem: Problem, particles: Particles, trapezoidal: bool, h: float):
+    def __init__(self, problem: InitialValueProblem, particles: Particles, trapezoidal: bool, h: float):
         problem.require_step(h)
         self._lib, self._particles, self._trapezoidal, self._h = library(), particles, trapezoidal, h
         self._system = _System(self._lib, particles, problem.system.x0)
@@ -201,7 +201,7 @@ class _Exudyn:
         solver.InitializeSolver(self._system.mbs, settings)
         return solver, settings
 
-    def __call__(self, times: Sequence[float], watch: bool = False) -> Run:
+    def __call__(self, times: Sequence[float], watch: bool = False) -> CandidateRun:
         rows, iterations = [], 0
         for t in times:
             solver, settings = self._made[float(t)]
@@ -211,4 +211,4 @@ class _Exudyn:
                 raise RuntimeError(f"no convergence at t = {solver.it.currentTime:g} s")
             rows.append(self._system.state())
             iterations = solver.it.newtonStepsCount - before
-        return Run(np.array(rows), round(float(max(times)) / self._h), iterations if watch else None)
+        return CandidateRun(np.array(rows), round(float(max(times)) / self._h), iterations if watch else None)

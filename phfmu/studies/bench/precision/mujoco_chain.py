@@ -13,13 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from phfmu.studies.bench.precision.candidate import Candidate, Run, missing
-from phfmu.studies.bench.precision.problem import Problem
+from phfmu.studies.bench.precision.candidate import Candidate, CandidateRun, missing
+from phfmu.studies.bench.precision.problem import InitialValueProblem
 
 STEPS = (0.02, 0.01, 0.005, 0.002)
 
 
-def candidates(problem: Problem, links: int) -> Iterator[Candidate]:
+def candidates(problem: InitialValueProblem, links: int) -> Iterator[Candidate]:
     if find_spec("mujoco") is None:
         yield missing("MuJoCo", "not installed; pip install mujoco")
         return
@@ -45,14 +45,16 @@ def _xml(links: int, h: float, integrator: str) -> str:
 
 
 class _MuJoCo:
-    def __init__(self, problem: Problem, links: int, integrator: str, h: float):
+    """A chain of hinged links stepped by one of MuJoCo's integrators with steps of h [s]."""
+
+    def __init__(self, problem: InitialValueProblem, links: int, integrator: str, h: float):
         problem.require_step(h)
         mujoco: Any = import_module("mujoco")
         self._lib, self._h, self._links = mujoco, h, links
         self._model: Any = mujoco.MjModel.from_xml_string(_xml(links, h, integrator))
         self._data: Any = mujoco.MjData(self._model)
 
-    def __call__(self, times: Sequence[float], watch: bool = False) -> Run:
+    def __call__(self, times: Sequence[float], watch: bool = False) -> CandidateRun:
         self._lib.mj_resetData(self._model, self._data)
         done, rows = 0, []
         for t in times:
@@ -60,7 +62,7 @@ class _MuJoCo:
             self._lib.mj_step(self._model, self._data, nstep=n - done)
             done = n
             rows.append(self._state())
-        return Run(np.array(rows), done)
+        return CandidateRun(np.array(rows), done)
 
     def _state(self) -> np.ndarray:
         """Positions and velocities of the masses in x and z, as the declaration orders them."""

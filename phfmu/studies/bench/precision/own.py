@@ -12,16 +12,16 @@ from phfmu.discretise.model import Model, build_model
 from phfmu.network.members.inputs import Inputs
 from phfmu.outcome.steps import balance
 from phfmu.schemes.named import named_scheme
-from phfmu.studies.bench.precision.candidate import Candidate, Run
-from phfmu.studies.bench.precision.compositions import COMPOSITIONS, Composed, Composition
-from phfmu.studies.bench.precision.problem import Problem
+from phfmu.studies.bench.precision.candidate import Candidate, CandidateRun
+from phfmu.studies.bench.precision.compositions import COMPOSITIONS, ComposedSteps, Composition
+from phfmu.studies.bench.precision.problem import InitialValueProblem
 
 Array = NDArray[np.float64]
 
 ENGINES = ("native", "python")
 
 
-def default_schemes(problem: Problem) -> list[str]:
+def default_schemes(problem: InitialValueProblem) -> list[str]:
     """Two-level of order 2 and 6 with holonomic constraints, collocated of order 2, 4 and 6 else."""
     if problem.declaration.constraints:
         return ["two-level:2", "two-level:6"]
@@ -33,7 +33,7 @@ def default_schemes(problem: Problem) -> list[str]:
 
 
 def candidates(
-    problem: Problem, schemes: Sequence[str], engines: Sequence[str], steps: Sequence[float]
+    problem: InitialValueProblem, schemes: Sequence[str], engines: Sequence[str], steps: Sequence[float]
 ) -> Iterator[Candidate]:
     """One candidate per scheme (`NAME:ORDER[:GRADIENT]`, `suzuki`, `kahan-li`), engine and step [s]."""
     for text in schemes:
@@ -69,7 +69,9 @@ def _parts(text: str) -> tuple[str, int | None, str]:
 class _Solver:
     """An instance stepped with a fixed step; intervals are divided into equal steps that land on their end."""
 
-    def __init__(self, problem: Problem, model: Model, engine: str, h: float, composition: Composition | None = None):
+    def __init__(
+        self, problem: InitialValueProblem, model: Model, engine: str, h: float, composition: Composition | None = None
+    ):
         self._problem, self._h, self._model = problem, h, model
         self._instance: Any
         if engine == "native":
@@ -81,9 +83,9 @@ class _Solver:
 
             self._instance = PythonInstance(model)
         self._p0 = self._instance.parameters.copy()
-        self._composed = None if composition is None else Composed(self._instance, composition)
+        self._composed = None if composition is None else ComposedSteps(self._instance, composition)
 
-    def __call__(self, times: Sequence[float], watch: bool = False) -> Run:
+    def __call__(self, times: Sequence[float], watch: bool = False) -> CandidateRun:
         instance = self._instance
         if self._problem.events:
             instance.set_parameters(self._p0)
@@ -107,7 +109,7 @@ class _Solver:
                     x.append(instance.x)
                 start = end
         done = solver_iterations(instance) - before
-        return Run(np.array(x), steps, done if watch else None, worst if watch else None)
+        return CandidateRun(np.array(x), steps, done if watch else None, worst if watch else None)
 
     def _run(self, t: float, h: float, n: int, record: Sequence[str]) -> dict[str, Array]:
         """n steps; the ledger of each step, of each substep where steps are composed."""

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.engine.build.machine_code import compiled
-from phfmu.studies.bench.precision.candidate import Candidate, NotAvailable, Run
-from phfmu.studies.bench.precision.compiled import Buffered
-from phfmu.studies.bench.precision.problem import Problem
+from phfmu.studies.bench.precision.array_function import ArrayFunction, compiled_expression
+from phfmu.studies.bench.precision.candidate import Candidate, CandidateRun, NotAvailable
+from phfmu.studies.bench.precision.problem import InitialValueProblem
 
 Array = NDArray[np.float64]
 
@@ -35,17 +35,17 @@ CASADI: dict[str, tuple[str, dict[str, Any]]] = {
 }
 
 
-class Functions:
+class ProblemFunctions:
     """The compiled functions of a problem, made when first asked for and shared by all peers."""
 
-    def __init__(self, problem: Problem):
+    def __init__(self, problem: InitialValueProblem):
         self.problem = problem
 
     @cached_property
-    def rate(self) -> Buffered:
+    def rate(self) -> ArrayFunction:
         """(t, x, live) -> x'."""
         ode = self.problem.system.ode
-        return Buffered(compiled(ode) if ode.is_a("SXFunction") else ode)
+        return ArrayFunction(compiled(ode) if ode.is_a("SXFunction") else ode)
 
     @cached_property
     def with_derivatives(self) -> ca.Function:
@@ -61,12 +61,11 @@ class Functions:
         s, n = self.problem.system, self.problem.system.x.numel()
         if not s.linear or s.ode.n_instructions() > LARGE:
             return None
-        matrix = ca.densify(ca.jacobian(s.ode(*s.arguments), s.x))
-        f = Buffered(compiled(ca.Function("jacobian", s.arguments, [matrix])))
+        f = compiled_expression("jacobian", s.arguments, ca.jacobian(s.ode(*s.arguments), s.x))
         return lambda t, x, live: f(t, x, live).reshape(n, n, order="F")
 
 
-def absolute(problem: Problem, rtol: float) -> Array:
+def absolute(problem: InitialValueProblem, rtol: float) -> Array:
     """atol = rtol/100 in units of the largest start value of each variable (1 where all are zero)."""
     scale, first = np.ones(problem.system.x.numel()), 0
     for v in problem.declaration.states:
@@ -76,7 +75,9 @@ def absolute(problem: Problem, rtol: float) -> Array:
     return 1e-2 * rtol * scale
 
 
-def scipy_candidates(problem: Problem, tolerances: Sequence[float], functions: Functions) -> Iterator[Candidate]:
+def scipy_candidates(
+    problem: InitialValueProblem, tolerances: Sequence[float], functions: ProblemFunctions
+) -> Iterator[Candidate]:
     """DOP853, LSODA and Radau on the ordinary differential equation."""
     for method in SCIPY:
         for rtol in tolerances:
@@ -86,13 +87,15 @@ def scipy_candidates(problem: Problem, tolerances: Sequence[float], functions: F
 
 
 class _Scipy:
-    def __init__(self, problem: Problem, functions: Functions, method: str, rtol: float):
+    """Solutions of a problem by a method of SciPy at a relative tolerance, from event to event."""
+
+    def __init__(self, problem: InitialValueProblem, functions: ProblemFunctions, method: str, rtol: float):
         self._problem, self._method, self._rtol = problem, method, rtol
         self.rate: Callable[..., Array] = functions.rate
         self._jac = functions.jacobian if method != "DOP853" else None
         self._atol = absolute(problem, rtol)
 
-    def __call__(self, times: Sequence[float], watch: bool = False) -> Run:
+    def __call__(self, times: Sequence[float], watch: bool = False) -> CandidateRun:
         from scipy.integrate import solve_ivp
 
         system = self._problem.system
@@ -109,14 +112,14 @@ class _Scipy:
                 raise RuntimeError(s.message)
             out += [s.y[:, j] for j in range(len(piece.times))]
             x = s.y[:, -1]
-        return Run(np.array(out))
+        return CandidateRun(np.array(out))
 
 
-class _Stalled(Exception):
+class _StalledSteps(Exception):
     """Rounding of x' keeps the step size small: a tolerance cannot be reached in reasonable time."""
 
 
-class _Counted:
+class _CountingRate:
     """A rate that counts its evaluations and raises _Stalled beyond a limit."""
 
     def __init__(self, rate: Callable[..., Array], limit: float):
@@ -125,11 +128,11 @@ class _Counted:
     def __call__(self, *args: Any) -> Array:
         self.count += 1
         if self.count > self._limit:
-            raise _Stalled
+            raise _StalledSteps
         return self._rate(*args)
 
 
-def solve_reference(problem: Problem, functions: Functions) -> None:
+def solve_reference(problem: InitialValueProblem, functions: ProblemFunctions) -> None:
     """DOP853 at falling relative tolerances, the last that rounding lets it reach; `uncertainty`: distance from the one before.
 
     At order 8 the next tolerance costs less than twice as much; PATIENCE times is a standstill.
@@ -138,10 +141,10 @@ def solve_reference(problem: Problem, functions: Functions) -> None:
     found: list[Array] = []
     for rtol in REFERENCE:
         solver = _Scipy(problem, functions, "DOP853", rtol)
-        solver.rate = rate = _Counted(functions.rate, limit)
+        solver.rate = rate = _CountingRate(functions.rate, limit)
         try:
             found.append(solver(grid).x)
-        except _Stalled:
+        except _StalledSteps:
             break
         limit = PATIENCE * rate.count
         problem.reference_name = f"DOP853 rtol {rtol:g} on the reduced system"
@@ -150,7 +153,9 @@ def solve_reference(problem: Problem, functions: Functions) -> None:
         problem.uncertainty = max(problem.distance(a, b) for a, b in zip(*found[-2:], strict=True))
 
 
-def casadi_candidates(problem: Problem, tolerances: Sequence[float], functions: Functions) -> Iterator[Candidate]:
+def casadi_candidates(
+    problem: InitialValueProblem, tolerances: Sequence[float], functions: ProblemFunctions
+) -> Iterator[Candidate]:
     """cvodes with the algebraic variables eliminated, idas on the index-1 form."""
     for label, (kind, options) in CASADI.items():
         for rtol in tolerances:
@@ -163,7 +168,9 @@ def casadi_candidates(problem: Problem, tolerances: Sequence[float], functions: 
 class _Casadi:
     """One integrator per piece; times inside a piece are output times of one call."""
 
-    def __init__(self, problem: Problem, functions: Functions, kind: str, options: dict[str, Any], rtol: float):
+    def __init__(
+        self, problem: InitialValueProblem, functions: ProblemFunctions, kind: str, options: dict[str, Any], rtol: float
+    ):
         self._problem = problem
         s = problem.system
         if kind != "index 1" and not s.linear:
@@ -187,7 +194,7 @@ class _Casadi:
             self._made[key] = ca.integrator("integrator", self._solver, self._dae, start, list(times), self._options)
         return self._made[key]
 
-    def __call__(self, times: Sequence[float], watch: bool = False) -> Run:
+    def __call__(self, times: Sequence[float], watch: bool = False) -> CandidateRun:
         system = self._problem.system
         x, live, out, steps = system.x0, system.live_start, [], 0
         for piece in self._problem.pieces(times):
@@ -199,4 +206,4 @@ class _Casadi:
             out += list(rows[: len(piece.times)])
             x = rows[-1]
             steps += int(integrator.stats().get("nsteps", 0)) if watch else 0
-        return Run(np.array(out), steps or None)
+        return CandidateRun(np.array(out), steps or None)

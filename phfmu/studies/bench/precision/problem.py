@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 
 from phfmu.declare.phdae import PHDAE
 from phfmu.network.scene import Event, Scene
-from phfmu.studies.bench.precision.reduced import Reduced, live_values, reduced
+from phfmu.studies.bench.precision.reduced import ReducedSystem, live_values, reduced
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Piece:
+class EventFreeInterval:
     """An interval without events: [start, end], values that change at its start, and the times asked for inside."""
 
     start: float
@@ -36,7 +36,7 @@ class Piece:
 
 
 @dataclass(frozen=True)
-class Judged:
+class SolutionErrors:
     """Errors of one solution: relative state error per time; energy error [J] and constraint drift at the worst time."""
 
     errors: tuple[float, ...]
@@ -44,8 +44,9 @@ class Judged:
     drift: float
 
 
-class Compared(Protocol):
-    """What is measured: `grid` holds the times of comparison and the stop time [s], `judged` names what errors are of."""
+class WorkPrecisionProblem(Protocol):
+    """A problem whose solutions are compared: `grid` holds the times of comparison and the stop time [s], `judged` names the
+    variables in the errors."""
 
     @property
     def name(self) -> str: ...
@@ -57,11 +58,11 @@ class Compared(Protocol):
     def judged(self) -> tuple[str, ...]: ...
     @property
     def grid(self) -> Array: ...
-    def judge(self, x: Array) -> Judged: ...
+    def judge(self, x: Array) -> SolutionErrors: ...
 
 
 @dataclass(eq=False)
-class Problem:
+class InitialValueProblem:
     """A declaration with the times [s] of comparison and the stop time of the timing runs.
 
     judged: names of the state variables in the error norm;  gamma: stabilisation of the reduced system [1/s]
@@ -95,17 +96,17 @@ class Problem:
         return np.array(sorted({*self.times, self.stop}))
 
     @cached_property
-    def system(self) -> Reduced:
+    def system(self) -> ReducedSystem:
         return reduced(self.declaration, gamma=self.gamma, live={e.name for e in self.events})
 
-    def pieces(self, times: Sequence[float] | Array) -> Iterator[Piece]:
+    def pieces(self, times: Sequence[float] | Array) -> Iterator[EventFreeInterval]:
         """Intervals between events up to the last of `times`."""
         last = float(max(times))
         marks = sorted({0.0, last, *(e.t for e in self.events if 0 < e.t < last)})
         for start, end in zip(marks[:-1], marks[1:], strict=True):
             here = [e for e in self.events if (e.t <= start if start == 0 else e.t == start)]
             inside = np.array([t for t in times if start < t <= end])
-            yield Piece(start, end, {e.name: e.value for e in here}, inside)
+            yield EventFreeInterval(start, end, {e.name: e.value for e in here}, inside)
 
     def live(self, changes: dict[str, float], before: Array) -> Array:
         """Live values of the reduced system after the changes of a piece."""
@@ -145,7 +146,7 @@ class Problem:
             worst = max(worst, float(np.linalg.norm(x[g] - exact[g])) / (norm if norm > 1e-3 * largest else largest))
         return worst
 
-    def judge(self, x: Array) -> Judged:
+    def judge(self, x: Array) -> SolutionErrors:
         """`x`: states at `grid`."""
         grid = list(self.grid)
         errors = tuple(self.distance(x[grid.index(t)], self.reference[grid.index(t)]) for t in self.times)
@@ -155,7 +156,7 @@ class Problem:
             exact = float(self._probe(t, self.reference[i])[0])
             energy = max(energy, abs(float(H) - exact))
             drift = max(drift, float(np.abs(np.array(checks)).max(initial=0.0)))
-        return Judged(errors, energy, drift)
+        return SolutionErrors(errors, energy, drift)
 
     def read_reference(self, path: str) -> None:
         """States at the times from a CSV: column `time`, a column per scalar state; ValueError names what is missing."""
@@ -183,8 +184,10 @@ def problem_of(
     stop: float | None = None,
     judged: Sequence[str] = (),
     gamma: float = 20.0,
-) -> Problem:
+) -> InitialValueProblem:
     """A scene as a problem; default times: a tenth of the run and its end."""
     end = scene.stop if stop is None else stop
     chosen = tuple(times) or (end / 10, end)
-    return Problem(scene.name, scene.declaration(), scene.events, chosen, end, scene.step, tuple(judged), gamma)
+    return InitialValueProblem(
+        scene.name, scene.declaration(), scene.events, chosen, end, scene.step, tuple(judged), gamma
+    )

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.variable import _sx, time
-from phfmu.studies.bench.precision.flat import Flat
+from phfmu.studies.bench.precision.flat import FlatSystem
 from phfmu.terms.extraction.extract import extract
 from phfmu.terms.hidden import HiddenConstraints
 from phfmu.terms.term import Terms
@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Reduced:
+class ReducedSystem:
     """An index-1 system  x' = rate(t, x, w, live),  0 = rows(t, x, w, live)  as CasADi expressions.
 
     x (n1): states;  w: algebraic variables, then rates of those among them that hidden rows contain;  live: parameters and
@@ -115,14 +115,14 @@ class Reduced:
         return ca.Function("ode", args, [rate(*args, w)])
 
 
-def reduced(declaration: PHDAE, *, gamma: float = 20.0, live: Collection[str] = ()) -> Reduced:
+def reduced(declaration: PHDAE, *, gamma: float = 20.0, live: Collection[str] = ()) -> ReducedSystem:
     """The index-1 form of a declaration; `live`: scalar names of parameters and inputs kept as symbols.
 
     gamma: Baumgarte stabilisation [1/s].  Errors: DeclarationError of the extraction.
     """
     terms = extract(declaration)
     hidden = terms.found(HiddenConstraints)
-    system = Flat(declaration, terms)
+    system = FlatSystem(declaration, terms)
     f, a = system.right_hand_side(), system.a
     rate = system.rates(f[: terms.n1])
     rows, extra, rates_of = _algebraic_rows(terms, hidden, system, f[terms.n1 :], rate, gamma)
@@ -134,13 +134,13 @@ def reduced(declaration: PHDAE, *, gamma: float = 20.0, live: Collection[str] = 
     x0 = np.array([s for v in declaration.states for s in v.start], float)
     _require_inertia(declaration, _numbers(declaration, fixed, values)[0])
     rate, rows, checks, H = out
-    return Reduced(
+    return ReducedSystem(
         time, system.x, w, live_symbols, names, start, x0, rate, rows, checks, H, tuple(system.constraint_rows)
     )
 
 
 def _algebraic_rows(
-    terms: Terms, hidden: HiddenConstraints, system: Flat, h: ca.SX, rate: ca.SX, gamma: float
+    terms: Terms, hidden: HiddenConstraints, system: FlatSystem, h: ca.SX, rate: ca.SX, gamma: float
 ) -> tuple[list[ca.SX], list[ca.SX], ca.SX]:
     """Rows for w, hidden constraints (first derivatives, then positions), and the symbols of rates in w."""
     chosen = sorted(hidden.solved_by.values())
@@ -167,7 +167,7 @@ def _algebraic_rows(
     return rows + originals, velocity + positions, b
 
 
-def stabilised(system: Reduced) -> tuple[ca.SX, ca.SX]:
+def stabilised(system: ReducedSystem) -> tuple[ca.SX, ca.SX]:
     """y = (x, w, mu) and (x', 0) of the form with both levels of holonomic constraints:
 
         x' = rate(x, w) - Dg^T mu,   0 = Dg z_v,   0 = g        (multipliers mu vanish on solutions; index 2)
@@ -231,7 +231,7 @@ def _fixed(declaration: PHDAE, live: Collection[str]) -> tuple[ca.SX, ca.SX, ca.
     return fixed, values, symbols, tuple(n for n, *_ in keep), np.array([v for *_, v in keep], float)
 
 
-def live_values(system: Reduced, start: Array, changes: Mapping[str, float]) -> Array:
+def live_values(system: ReducedSystem, start: Array, changes: Mapping[str, float]) -> Array:
     """Live values after `changes`; the bare name of a vector sets all its entries."""
     values = start.copy()
     for name, value in changes.items():

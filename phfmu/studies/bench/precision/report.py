@@ -2,26 +2,27 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from phfmu.studies.bench.precision.problem import Compared, Problem
-from phfmu.studies.bench.precision.work_precision import Row, Table, costs_at
+from phfmu.studies.bench.precision.problem import InitialValueProblem, WorkPrecisionProblem
+from phfmu.studies.bench.precision.work_precision import WorkPrecisionRow, WorkPrecisionTable, costs_at
+from phfmu.studies.figures import pyplot, save
+from phfmu.studies.tables import aligned_table
 
 FLOOR = 1e-17  # zero on a logarithmic axis
 
 
-def columns(problem: Problem) -> list[str]:
+def columns(problem: InitialValueProblem) -> list[str]:
     return [
         "method", "setting", "cpu_ms_per_s", "spread", *(f"error_{t:g}s" for t in problem.times), "energy_error_J", "drift",
         "ledger_J", "steps", "iterations",
     ]  # fmt: skip
 
 
-def cells(row: Row) -> list[Any]:
+def cells(row: WorkPrecisionRow) -> list[Any]:
     judged = row.judged
     return [
         row.method, row.setting, 1e3 * row.cpu, row.spread, *judged.errors, judged.energy, judged.drift, row.ledger,
@@ -33,17 +34,12 @@ def _text(value: Any) -> str:
     return "" if value is None else f"{value:.3g}" if isinstance(value, float) else str(value)
 
 
-def rows_text(problem: Problem, table: Table) -> str:
+def rows_text(problem: InitialValueProblem, table: WorkPrecisionTable) -> str:
     """The table in aligned columns."""
-    lines = [columns(problem), *([_text(c) for c in cells(r)] for r in table.rows)]
-    width = [max(len(line[i]) for line in lines) for i in range(len(lines[0]))]
-    return "\n".join(
-        "  ".join(c.ljust(w) if i < 2 else c.rjust(w) for i, (c, w) in enumerate(zip(line, width, strict=True)))
-        for line in lines
-    )
+    return aligned_table(columns(problem), ([_text(c) for c in cells(r)] for r in table.rows), 2)
 
 
-def ratios_text(problem: Problem, table: Table, errors: Sequence[float]) -> list[str]:
+def ratios_text(problem: InitialValueProblem, table: WorkPrecisionTable, errors: Sequence[float]) -> list[str]:
     """Per error level: the cheapest own method, and what each peer costs relative to it (at the last time)."""
     which = len(problem.times) - 1
     out = []
@@ -64,17 +60,9 @@ def ratios_text(problem: Problem, table: Table, errors: Sequence[float]) -> list
     return out
 
 
-def write_csv(path: Path, problem: Problem, table: Table, about: Sequence[str]) -> None:
-    """Rows with full precision below lines of comment: machine, settings, remarks."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        for line in [*about, *table.remarks]:
-            file.write(f"# {line}\n")
-        out = csv.writer(file)
-        out.writerow(columns(problem))
-        out.writerows([[f"{c:.6g}" if isinstance(c, float) else c for c in cells(r)] for r in table.rows])
-
-
-def _lines(problem: Compared, table: Table) -> list[tuple[str, bool, list[tuple[float, float, str]]]]:
+def _lines(
+    problem: WorkPrecisionProblem, table: WorkPrecisionTable
+) -> list[tuple[str, bool, list[tuple[float, float, str]]]]:
     which, out = len(problem.times) - 1, []
     for method in table.methods():
         rows = [r for r in table.rows if r.method == method]
@@ -83,7 +71,7 @@ def _lines(problem: Compared, table: Table) -> list[tuple[str, bool, list[tuple[
     return out
 
 
-def draw_lines(ax: Any, problem: Compared, table: Table) -> None:
+def draw_lines(ax: Any, problem: WorkPrecisionProblem, table: WorkPrecisionTable) -> None:
     """CPU time over error in double logarithmic axes, a line per method, errors falling to the right."""
     import matplotlib.pyplot as plt
 
@@ -104,12 +92,9 @@ def draw_lines(ax: Any, problem: Compared, table: Table) -> None:
     ax.spines[["top", "right"]].set_visible(False)
 
 
-def write_png(path: Path, problem: Problem, table: Table, caption: str) -> None:
+def write_png(path: Path, problem: InitialValueProblem, table: WorkPrecisionTable, caption: str) -> None:
     """CPU time over error, one line per method; own schemes in full colour with filled marks."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
+    plt = pyplot()
 
     figure, ax = plt.subplots(figsize=(8.5, 5.4), layout="constrained")
     draw_lines(ax, problem, table)
@@ -117,11 +102,10 @@ def write_png(path: Path, problem: Problem, table: Table, caption: str) -> None:
     ax.set(xlabel=which, ylabel="CPU time in ms per simulated second", title=problem.name)
     ax.legend(fontsize=8, frameon=False, bbox_to_anchor=(1.01, 1.0), loc="upper left")
     figure.supxlabel(caption, fontsize=7, color="0.4")
-    figure.savefig(path, dpi=150)
-    plt.close(figure)
+    save(figure, path)
 
 
-def write_html(path: Path, problem: Problem, table: Table, caption: str) -> None:
+def write_html(path: Path, problem: InitialValueProblem, table: WorkPrecisionTable, caption: str) -> None:
     """The same picture for a browser, settings at the marks; needs plotly."""
     go: Any = import_module("plotly.graph_objects")
     figure = go.Figure()

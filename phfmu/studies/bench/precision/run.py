@@ -11,8 +11,9 @@ from pathlib import Path
 from phfmu.studies.bench import machine
 from phfmu.studies.bench.precision import exudyn_particles, mujoco_chain, own, peers, report, sundae
 from phfmu.studies.bench.precision.candidate import Candidate
-from phfmu.studies.bench.precision.problem import Problem
-from phfmu.studies.bench.precision.work_precision import Table, measure
+from phfmu.studies.bench.precision.problem import InitialValueProblem
+from phfmu.studies.bench.precision.work_precision import WorkPrecisionTable, measure
+from phfmu.studies.tables import write_csv
 
 TOLERANCES = (1e-3, 1e-4, 1e-6, 1e-8, 1e-10)
 #: default steps in multiples of the scene's step
@@ -21,7 +22,7 @@ PEERS = ("scipy", "casadi", "sundae", "mujoco", "exudyn")
 
 
 @dataclass(frozen=True)
-class Choice:
+class ComparisonSettings:
     """A choice of what is compared: schemes NAME:ORDER, engines, steps [s], relative tolerances and names of peers."""
 
     schemes: tuple[str, ...] = ()
@@ -33,7 +34,9 @@ class Choice:
     errors: tuple[float, ...] = ()
 
 
-def candidates(problem: Problem, choice: Choice, functions: peers.Functions) -> Iterator[Candidate]:
+def candidates(
+    problem: InitialValueProblem, choice: ComparisonSettings, functions: peers.ProblemFunctions
+) -> Iterator[Candidate]:
     """Own schemes first, then the peers that are there."""
     schemes = choice.schemes or own.default_schemes(problem)
     steps = choice.steps or [m * problem.step for m in MULTIPLES]
@@ -51,32 +54,34 @@ def candidates(problem: Problem, choice: Choice, functions: peers.Functions) -> 
         yield from exudyn_particles.candidates(problem)
 
 
-def default_errors(table: Table) -> tuple[float, ...]:
+def default_errors(table: WorkPrecisionTable) -> tuple[float, ...]:
     """Powers of ten that an own scheme reaches at the last time."""
     reached = [r.judged.errors[-1] for r in table.rows if r.own]
     return tuple(10.0**e for e in (-3, -4, -6, -8, -10) if reached and min(reached) <= 10.0**e)
 
 
 @dataclass(frozen=True)
-class Comparison:
+class WorkPrecisionReport:
     """A measured table, lines about it (machine, versions, settings) and the ratios at equal errors."""
 
-    problem: Problem
-    table: Table
+    problem: InitialValueProblem
+    table: WorkPrecisionTable
     about: tuple[str, ...]
     ratios: tuple[str, ...]
     caption: str
 
 
-def compare(problem: Problem, choice: Choice, progress: Callable[[str], None] = lambda _: None) -> Comparison:
+def compare(
+    problem: InitialValueProblem, choice: ComparisonSettings, progress: Callable[[str], None] = lambda _: None
+) -> WorkPrecisionReport:
     """Measure all candidates of a choice; the reference is solved first unless there is one."""
-    before, functions = machine.load(), peers.Functions(problem)
+    before, functions = machine.load(), peers.ProblemFunctions(problem)
     if not len(problem.reference):
         progress("reference")
         peers.solve_reference(problem, functions)
     table = measure(problem, candidates(problem, choice, functions), choice.repeat, progress)
     known = f", uncertain by {problem.uncertainty:.1g}" if problem.uncertainty == problem.uncertainty else ""
-    caption = f"{machine.processor()}; load {before} before, {machine.load()} after; one thread, process CPU time"
+    caption = f"{machine.machine_line(before)}; one thread, process CPU time"
     states, times = ", ".join(problem.judged) or "all states", ", ".join(f"{t:g}" for t in problem.times)
     about = (
         f"{problem.name}: errors of {states} at {times} s; timed over {problem.stop:g} s, median of {choice.repeat}",
@@ -85,15 +90,16 @@ def compare(problem: Problem, choice: Choice, progress: Callable[[str], None] = 
         machine.versions(),
     )
     ratios = report.ratios_text(problem, table, choice.errors or default_errors(table))
-    return Comparison(problem, table, about, tuple(ratios), caption)
+    return WorkPrecisionReport(problem, table, about, tuple(ratios), caption)
 
 
-def write(found: Comparison, folder: Path) -> list[str]:
+def write(found: WorkPrecisionReport, folder: Path) -> list[str]:
     """`<name>.csv`, `.png` (matplotlib) and `.html` (plotly) in `folder`; returns the printed lines."""
     problem, table = found.problem, found.table
     folder.mkdir(parents=True, exist_ok=True)
     written = [f"{problem.name}.csv"]
-    report.write_csv(folder / written[0], problem, table, [*found.about, *found.ratios])
+    rows = map(report.cells, table.rows)
+    write_csv(folder / written[0], [*found.about, *found.ratios, *table.remarks], report.columns(problem), rows)
     if find_spec("matplotlib") is not None:
         written.append(f"{problem.name}.png")
         report.write_png(folder / written[-1], problem, table, f"{found.caption}\n{machine.versions()}")

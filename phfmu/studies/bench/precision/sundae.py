@@ -7,7 +7,7 @@ Models without constraints: the index-1 form.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from importlib import import_module
 from importlib.util import find_spec
 from typing import Any
@@ -16,19 +16,24 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.engine.build.machine_code import compiled
-from phfmu.studies.bench.precision.candidate import Candidate, Run, missing
-from phfmu.studies.bench.precision.compiled import Buffered
+from phfmu.studies.bench.precision.array_function import compiled_expression
+from phfmu.studies.bench.precision.candidate import Candidate, CandidateRun, missing
 from phfmu.studies.bench.precision.peers import absolute
-from phfmu.studies.bench.precision.problem import Problem
-from phfmu.studies.bench.precision.reduced import Reduced, stabilised
+from phfmu.studies.bench.precision.problem import InitialValueProblem
+from phfmu.studies.bench.precision.reduced import ReducedSystem, stabilised
 
 Array = NDArray[np.float64]
 
 
-def candidates(problem: Problem, tolerances: Sequence[float]) -> Iterator[Candidate]:
+def missing_ida() -> Iterator[Candidate]:
+    """The remark that SUNDIALS is not installed; nothing where it is."""
     if find_spec("sksundae") is None:
         yield missing("SUNDIALS IDA", "not installed; pip install scikit-sundae")
+
+
+def candidates(problem: InitialValueProblem, tolerances: Sequence[float]) -> Iterator[Candidate]:
+    if remark := [*missing_ida()]:
+        yield from remark
         return
     made: list[_Functions] = []
 
@@ -41,63 +46,77 @@ def candidates(problem: Problem, tolerances: Sequence[float]) -> Iterator[Candid
         yield Candidate("SUNDIALS IDA, GGL", f"rtol={rtol:g}", rtol, lambda r=rtol: _Ida(problem, functions(), r))
 
 
+class ImplicitSystem:
+    """F(t, y, y', live) = 0 as IDA takes it: F and dF/dy + c dF/dy' in machine code; the first n entries of y have rates."""
+
+    def __init__(self, t: ca.SX, y: ca.SX, yp: ca.SX, residual: ca.SX, n: int, live: Sequence[ca.SX] = ()):
+        arguments, c = [t, y, yp, *live], ca.SX.sym("c")
+        matrix = ca.jacobian(residual, y) + c * ca.jacobian(residual, yp)
+        self.n, self.size = n, y.numel()
+        self._residual = compiled_expression("residual", arguments, residual)
+        self._matrix = compiled_expression("matrix", [*arguments, c], matrix)
+
+    def solver(self, rtol: float, atol: Array, *live: Array) -> Any:
+        """IDA with the absolute tolerances `atol` (n); the other entries of y are out of its error test."""
+        size, residual_of, matrix_of = self.size, self._residual, self._matrix
+
+        def residual(t: float, y: Array, yp: Array, res: Array) -> None:
+            res[:] = residual_of(t, y, yp, *live)
+
+        def matrix(t: float, y: Array, yp: Array, res: Array, c: float, jac: Array) -> None:
+            jac[:] = matrix_of(t, y, yp, *live, c).reshape(size, size, order="F")
+
+        tolerances = np.full(size, 1e6)
+        tolerances[: self.n] = atol
+        IDA: Any = import_module("sksundae.ida").IDA
+        return IDA(
+            residual, jacfn=matrix, rtol=rtol, atol=tolerances, algebraic_idx=list(range(self.n, size)) or None,
+            max_num_steps=10_000_000,
+        )  # fmt: skip
+
+
+def solved(solver: Any, start: float, times: Sequence[float] | Array, y: Array, yp: Array) -> Array:
+    """y at the times (times x size) from a consistent y and y'; RuntimeError with what IDA says."""
+    found = solver.solve(np.array([start, *times]), y, yp)
+    if not found.success:
+        raise RuntimeError(str(found.message))
+    # with one interval the solver returns all of its own steps
+    return np.array(found.y[1:] if len(times) > 1 else found.y[-1:])
+
+
 class _Functions:
-    """Residual F(t, y, y', live) and dF/dy + c dF/dy', compiled; the start."""
+    """The stabilised system of a problem, compiled; the start."""
 
-    def __init__(self, problem: Problem):
+    def __init__(self, problem: InitialValueProblem):
         system = problem.system
-        self.n = system.x.numel()
-        y, residual = stabilised(system)
-        yp, c = ca.SX.sym("yp", y.numel()), ca.SX.sym("c")
-        full = ca.vertcat(yp[: self.n], ca.SX.zeros(y.numel() - self.n)) - residual
-        matrix = ca.jacobian(full, y) + c * ca.jacobian(full, yp)
-        args = [system.t, y, yp, system.live]
-        self.residual = Buffered(compiled(ca.Function("residual", args, [full])))
-        self.matrix = Buffered(compiled(ca.Function("matrix", [*args, c], [ca.densify(matrix)])))
-        self.size = y.numel()
+        n, (y, residual) = system.x.numel(), stabilised(system)
+        yp = ca.SX.sym("yp", y.numel())
+        full = ca.vertcat(yp[:n], ca.SX.zeros(y.numel() - n)) - residual
+        self.implicit = ImplicitSystem(system.t, y, yp, full, n, [system.live])
 
-    def callbacks(self, live: Array) -> tuple[Callable[..., None], Callable[..., None]]:
-        """Residual and Jacobian as IDA calls them."""
-
-        def residual(t, y, yp, res):
-            res[:] = self.residual(t, y, yp, live)
-
-        def matrix(t, y, yp, res, c, jac):
-            jac[:] = self.matrix(t, y, yp, live, c).reshape(self.size, self.size, order="F")
-
-        return residual, matrix
-
-    def start(self, system: Reduced, x: Array, live: Array, t: float) -> tuple[Array, Array]:
+    def start(self, system: ReducedSystem, x: Array, live: Array, t: float) -> tuple[Array, Array]:
         """Consistent y and y' at a state on the constraints (mu = 0)."""
-        y, rate, w = np.zeros(self.size), np.zeros(self.size), system.solve_w(t, x, live)
-        y[: self.n], y[self.n : self.n + len(w)] = x, w
-        rate[: self.n] = np.array(system.ode(t, x, live)).ravel()
+        size, n = self.implicit.size, self.implicit.n
+        y, rate, w = np.zeros(size), np.zeros(size), system.solve_w(t, x, live)
+        y[:n], y[n : n + len(w)] = x, w
+        rate[:n] = np.array(system.ode(t, x, live)).ravel()
         return y, rate
 
 
 class _Ida:
-    def __init__(self, problem: Problem, functions: _Functions, rtol: float):
-        self._problem, self._f, self._rtol = problem, functions, rtol
-        self._atol = np.full(functions.size, 1e6)
-        self._atol[: functions.n] = absolute(problem, rtol)
+    """Solutions of a problem by IDA at a relative tolerance, from event to event."""
 
-    def __call__(self, times: Sequence[float], watch: bool = False) -> Run:
-        IDA: Any = import_module("sksundae.ida").IDA
+    def __init__(self, problem: InitialValueProblem, functions: _Functions, rtol: float):
+        self._problem, self._f, self._rtol = problem, functions, rtol
+        self._atol = absolute(problem, rtol)
+
+    def __call__(self, times: Sequence[float], watch: bool = False) -> CandidateRun:
         f, system = self._f, self._problem.system
         x, live, out = system.x0, system.live_start, []
         for piece in self._problem.pieces(times):
             live = self._problem.live(piece.changes, live)
-
-            residual, matrix = f.callbacks(live)
-            solver = IDA(
-                residual, jacfn=matrix, rtol=self._rtol, atol=self._atol, algebraic_idx=list(range(f.n, f.size)) or None,
-                max_num_steps=10_000_000,
-            )  # fmt: skip
-            found = solver.solve(np.array([piece.start, *piece.stops]), *f.start(system, x, live, piece.start))
-            if not found.success:
-                raise RuntimeError(str(found.message))
-            # with one interval the solver returns all of its own steps
-            rows = (found.y[1:] if len(piece.stops) > 1 else found.y[-1:])[:, : f.n]
+            solver = f.implicit.solver(self._rtol, self._atol, live)
+            rows = solved(solver, piece.start, piece.stops, *f.start(system, x, live, piece.start))[:, : f.implicit.n]
             out += list(rows[: len(piece.times)])
             x = rows[-1]
-        return Run(np.array(out))
+        return CandidateRun(np.array(out))

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from phfmu.studies.stress.case import Case, Outcome, refused
+from phfmu.studies.stress.case import StressCase, StressOutcome, refused
 from phfmu.studies.stress.drive import effort, instance, record
 
 
@@ -24,7 +24,7 @@ def stiff_pair(k: float) -> Any:
     return net
 
 
-def stiff(k: float) -> Outcome:
+def stiff(k: float) -> StressOutcome:
     """Members stepped apart and joined by Newton: the pair moves together as one mass."""
     from dataclasses import replace
 
@@ -40,22 +40,22 @@ def stiff(k: float) -> Outcome:
     exact = 0.1 * np.sin(10.0 * result.time)
     error = float(np.abs(result.column("m1.q") - exact).max())
     text = f"{result.iterations / result.steps:.1f} iterations a step, ledger {worst:.1e}, error {error:.1e} m"
-    return Outcome(text, worst <= 1e-11 and error <= 2e-3)
+    return StressOutcome(text, worst <= 1e-11 and error <= 2e-3)
 
 
-def period(ratio: float) -> Outcome:
+def period(ratio: float) -> StressOutcome:
     """The oscillator at a step of `ratio` times its fastest period (1/3 s)."""
     from phfmu.components.scenes.mechanical.oscillator import oscillator
 
     r = record(instance(oscillator().declaration()), ratio / 3.0, 1000)
     accurate = "accurate" if ratio < 0.05 else "no accuracy at this step"
-    return Outcome(
+    return StressOutcome(
         f"balance {r.balance:.1e}, energy {r.drift:.1e} H0 ({accurate}); {effort(r)}",
         r.balance <= 1e-11 and r.drift <= 1e-10,
     )
 
 
-def well(h: float) -> Outcome:
+def well(h: float) -> StressOutcome:
     """Double well V = (q^2 - 1)^2 / 4 with 1 kg near its top: above h = 2 s a step has several solutions."""
     from phfmu import PHDAE, StepFailure, energy, skew, state
     from phfmu.outcome.status import remedy
@@ -66,8 +66,8 @@ def well(h: float) -> Outcome:
     try:
         r = record(instance(double), h, 200)
     except StepFailure as failure:
-        return Outcome(f"typed error: {failure}", bool(remedy(failure)))
-    return Outcome(
+        return StressOutcome(f"typed error: {failure}", bool(remedy(failure)))
+    return StressOutcome(
         f"balance {r.balance:.1e}, energy {r.drift:.1e} H0; {effort(r)}", r.balance <= 1e-11 and r.drift <= 1e-9
     )
 
@@ -84,7 +84,7 @@ def rigid_link(v1: float, v2: float) -> Any:
     return net.compose()
 
 
-def rigid(project: bool) -> Outcome:
+def rigid(project: bool) -> StressOutcome:
     """Velocities 1 and 0 m/s at a rigid link: refused, or an inelastic impact that loses 1/3 J."""
     from phfmu.discretise.start import project_start
     from phfmu.network.couplings.monolithic import Monolithic
@@ -98,20 +98,20 @@ def rigid(project: bool) -> Outcome:
             lambda: run(Monolithic(unit.model, unit), Options(stop=0.1, step=0.01)), InconsistentState, "link"
         )
     lost = project_start(unit.model).energy
-    return Outcome(f"energy changed by {lost:.15g} J", abs(lost + 1.0 / 3.0) <= 1e-12)
+    return StressOutcome(f"energy changed by {lost:.15g} J", abs(lost + 1.0 / 3.0) <= 1e-12)
 
 
-def at_rest() -> Outcome:
+def at_rest() -> StressOutcome:
     """All zeros for 10 000 steps."""
     net = stiff_pair(1e4)
     still = net.compose().with_starts({"m1.v": 0.0, "m2.v": 0.0})
     r = record(instance(still), 0.01, 10_000)
-    return Outcome(
+    return StressOutcome(
         f"largest value {np.abs(r.x).max():g}; {effort(r)}", bool((r.x == 0.0).all()) and r.iterations <= 2.0
     )
 
 
-def light(m: float) -> Outcome:
+def light(m: float) -> StressOutcome:
     """A mass m on a spring of 100 N/m, driven: the force-velocity gain tends to 2/(h k)."""
     from phfmu.components.mechanical.translational import mass
 
@@ -119,10 +119,10 @@ def light(m: float) -> Outcome:
     unit.set_input([1.0])
     unit.do_step(0.0, h)
     gain, limit = float(unit.output()[0]), h / 2.0 / (m + 100.0 * h**2 / 4.0)
-    return Outcome(f"gain {gain:.6g} m/s/N, exact {limit:.6g}", abs(gain - limit) <= 1e-12 * limit)
+    return StressOutcome(f"gain {gain:.6g} m/s/N, exact {limit:.6g}", abs(gain - limit) <= 1e-12 * limit)
 
 
-def nothing_moves() -> Outcome:
+def nothing_moves() -> StressOutcome:
     """No mass and no spring: an ideal force at a free end determines nothing."""
     from phfmu import StepFailure
     from phfmu.components.mechanical.translational import mass
@@ -135,7 +135,7 @@ def nothing_moves() -> Outcome:
     return refused(attempt, StepFailure, "singular", "balance of v")
 
 
-def ring(n: int) -> Outcome:
+def ring(n: int) -> StressOutcome:
     """n masses in a closed ring of n springs, one of them struck."""
     from phfmu import Network
     from phfmu.components.mechanical.translational import mass, spring
@@ -150,10 +150,10 @@ def ring(n: int) -> Outcome:
     r = record(instance(net.compose()), 0.001, 200)
     momentum = float(np.abs(r.x[:, 1 : 2 * n : 2].sum(axis=1) - 1.0).max())
     text = f"balance {r.balance:.1e}, energy {r.drift:.1e} H0, momentum {momentum:.1e}; {effort(r)}"
-    return Outcome(text, r.balance <= 1e-11 and r.drift <= 1e-11 and momentum <= 1e-11)
+    return StressOutcome(text, r.balance <= 1e-11 and r.drift <= 1e-11 and momentum <= 1e-11)
 
 
-def star(n: int) -> Outcome:
+def star(n: int) -> StressOutcome:
     """A mass at a junction of n ports, all others of springs: together one spring, of which the midpoint rule is known."""
     from phfmu import Network
     from phfmu.components.mechanical.translational import mass, spring
@@ -168,10 +168,10 @@ def star(n: int) -> Outcome:
     turn = 2 * np.arctan(np.sqrt(k / m) * h / 2)
     off = float(np.abs(r.x[:, 1] - np.cos(turn * np.arange(1, steps + 1))).max())
     text = f"balance {r.balance:.1e}, energy {r.drift:.1e} H0, speed {off:.1e} m/s from the midpoint rule by hand; {effort(r)}"
-    return Outcome(text, r.balance <= 1e-11 and r.drift <= 1e-11 and off <= 1e-11)
+    return StressOutcome(text, r.balance <= 1e-11 and r.drift <= 1e-11 and off <= 1e-11)
 
 
-def apart() -> Outcome:
+def apart() -> StressOutcome:
     """Two parts that share nothing, in one network: each as alone."""
     from phfmu import Network
     from phfmu.components.mechanical.translational import mass
@@ -182,10 +182,10 @@ def apart() -> Outcome:
     both = record(instance(net.compose()), 0.01, 500)
     alone = [record(instance(mass(m, k=k, q=q)), 0.01, 500) for m, k, q in ((1.0, 4.0, 1.0), (2.0, 9.0, -1.0))]
     off = float(np.abs(both.x - np.hstack([a.x for a in alone])).max())
-    return Outcome(f"states {off:.1e} from those of each alone", off <= 1e-13)
+    return StressOutcome(f"states {off:.1e} from those of each alone", off <= 1e-13)
 
 
-def wrong(what: str) -> Outcome:
+def wrong(what: str) -> StressOutcome:
     """Connections that cannot be: refused when they are made."""
     from phfmu import Network
     from phfmu.components.electrical import rl_line
@@ -210,22 +210,23 @@ def wrong(what: str) -> Outcome:
 
 
 CASES = (
-    *(Case("stiff_pair", f"coupling spring of {k:.0e} N/m, members apart, h = 0.01 s", "ledger <= 1e-11, error <= 2e-3 m",
-           lambda k=k: stiff(k)) for k in (1e4, 1e8, 1e10)),
-    *(Case("oscillator", f"h = {x:g} of the fastest period", "balance <= 1e-11, energy <= 1e-10 H0", lambda x=x: period(x))
+    *(StressCase("stiff_pair", f"coupling spring of {k:.0e} N/m, members apart, h = 0.01 s", "ledger <= 1e-11, error <= 2e-3 m",
+                 lambda k=k: stiff(k)) for k in (1e4, 1e8, 1e10)),
+    *(StressCase("oscillator", f"h = {x:g} of the fastest period", "balance <= 1e-11, energy <= 1e-10 H0", lambda x=x: period(x))
       for x in (1e-6, 1e-3, 1.0, 1e3)),
-    *(Case("double_well", f"h = {h:g} s (unique below 2 s)", "balance <= 1e-11, or an error with the remedy", lambda h=h: well(h))
+    *(StressCase("double_well", f"h = {h:g} s (unique below 2 s)", "balance <= 1e-11, or an error with the remedy",
+                 lambda h=h: well(h))
       for h in (0.67, 1.9, 2.1, 5.0)),
-    Case("rigid_link", "velocities 1 and 0 m/s, refused", "error names the link", lambda: rigid(False)),
-    Case("rigid_link", "velocities 1 and 0 m/s, projected", "loses 1/3 J", lambda: rigid(True)),
-    Case("stiff_pair", "rest, 10 000 steps", "exact zeros", at_rest),
-    *(Case("mass", f"{m:g} kg on a spring, gain of a step", "h/2 / (m + k h2/4) to 1e-12", lambda m=m: light(m))
+    StressCase("rigid_link", "velocities 1 and 0 m/s, refused", "error names the link", lambda: rigid(False)),
+    StressCase("rigid_link", "velocities 1 and 0 m/s, projected", "loses 1/3 J", lambda: rigid(True)),
+    StressCase("stiff_pair", "rest, 10 000 steps", "exact zeros", at_rest),
+    *(StressCase("mass", f"{m:g} kg on a spring, gain of a step", "h/2 / (m + k h2/4) to 1e-12", lambda m=m: light(m))
       for m in (1.0, 1e-6, 1e-12)),
-    Case("mass", "no mass, no spring, no damper", "refused with a reason", nothing_moves),
-    Case("star", "a junction of 1000 ports", "balance, energy, midpoint rule <= 1e-11", lambda: star(1000), long=True),
-    Case("ring", "closed ring of 100 masses and springs", "balance, energy, momentum <= 1e-11", lambda: ring(100)),
-    Case("apart", "two parts that share nothing", "as each alone, 1e-13", apart),
-    *(Case("wrong", label, "refused when made", lambda w=w: wrong(w)) for w, label in (
+    StressCase("mass", "no mass, no spring, no damper", "refused with a reason", nothing_moves),
+    StressCase("star", "a junction of 1000 ports", "balance, energy, midpoint rule <= 1e-11", lambda: star(1000), long=True),
+    StressCase("ring", "closed ring of 100 masses and springs", "balance, energy, momentum <= 1e-11", lambda: ring(100)),
+    StressCase("apart", "two parts that share nothing", "as each alone, 1e-13", apart),
+    *(StressCase("wrong", label, "refused when made", lambda w=w: wrong(w)) for w, label in (
         ("sign", "u1 = +y2, u2 = +y1"), ("domain", "a mass on a power line"), ("self", "a port joined to itself"),
         ("twice", "the same rigid link twice"))),
 )  # fmt: skip

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from phfmu.studies.stress.case import Case, Outcome, not_supported
+from phfmu.studies.stress.case import StressCase, StressOutcome, not_supported
 
 RUN = (
     "run",
@@ -46,7 +46,7 @@ def started(folder: Path, *words: str, code: str = PLAIN) -> subprocess.Popen[st
     return subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
-def killed() -> Outcome:
+def killed() -> StressOutcome:
     """SIGKILL while rows are being written: every complete batch is there, and the same run goes again."""
     with TemporaryDirectory() as name:
         folder = Path(name)
@@ -55,14 +55,14 @@ def killed() -> Outcome:
         while not (stream.exists() and stream.stat().st_size > ENOUGH):
             if process.poll() is not None or time.monotonic() - begun > PATIENCE:
                 process.kill()
-                return Outcome(f"did not get far: {process.communicate()[1][-200:]}", False)
+                return StressOutcome(f"did not get far: {process.communicate()[1][-200:]}", False)
             time.sleep(0.01)
         process.kill()
         process.communicate()
         return _again(folder)
 
 
-def full() -> Outcome:
+def full() -> StressOutcome:
     """A file that may not become larger: the run says so, and what was written is there."""
     with TemporaryDirectory() as name:
         folder = Path(name)
@@ -71,10 +71,10 @@ def full() -> Outcome:
         told = process.returncode == 2 and STREAM in said
         again = _again(folder)
         text = f"exit code {process.returncode}, {'names the file' if told else said[-200:]}; {again.happened}"
-        return Outcome(text, told and bool(again.holds))
+        return StressOutcome(text, told and bool(again.holds))
 
 
-def _again(folder: Path) -> Outcome:
+def _again(folder: Path) -> StressOutcome:
     """The rest of a run is recovered, and the run is started again."""
     from phfmu.audit import recover, summarise
 
@@ -87,18 +87,20 @@ def _again(folder: Path) -> Outcome:
     rerun.communicate(timeout=PATIENCE)
     closed = summary.closed and summarise(folder / "a.audit.parquet").steps == 100
     text = f"recovered, ledger {'closed' if closed else 'open'}; runs again with exit code {rerun.returncode}"
-    return Outcome(
+    return StressOutcome(
         text, kept.exists() and refused.returncode == 2 and summary.steps > 0 and closed and not rerun.returncode
     )
 
 
-def _posix(call: Callable[[], Outcome]) -> Callable[[], Outcome]:
+def _posix(call: Callable[[], StressOutcome]) -> Callable[[], StressOutcome]:
     return call if os.name == "posix" else not_supported("limits of file sizes are those of POSIX")
 
 
-CASES: Sequence[Case] = (
-    Case("crash", "a coupled run, kill -9", "a left log is not overwritten; recovered, closed; runs again", killed),
-    Case(
+CASES: Sequence[StressCase] = (
+    StressCase(
+        "crash", "a coupled run, kill -9", "a left log is not overwritten; recovered, closed; runs again", killed
+    ),
+    StressCase(
         "crash",
         "a coupled run, no room for its log",
         "exit code 2 names the file; recovered, closed; runs again",

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from phfmu.studies.stress.case import Case, Outcome, refused
+from phfmu.studies.stress.case import StressCase, StressOutcome, refused
 from phfmu.studies.stress.members.couplings import left, oscillator, run
 
 #: what the unit of liar.c does
@@ -90,40 +90,40 @@ def apart(one: Any, two: Any) -> float:
     return max(float(np.abs(one.column(n) - two.column(n)).max()) for n in ("pump.v", "cart.v", "spring.e"))
 
 
-def named(lie: int) -> Outcome:
+def named(lie: int) -> StressOutcome:
     """A lie that a trial before the run finds: the unit is stepped last, what that misses is booked."""
     result, told = lied_to(lie)
     line = next((t for t in told if t.startswith("pump: does not restore its state")), "")
     off = apart(result, lied_to(HONEST)[0])
     s = result.ledger.summary()
     estimated = next(c for c in s.components if c.component == "pump").verdict != "closed"
-    return Outcome(
+    return StressOutcome(
         f"{line or 'not told'}; {off:.1e} from the honest run, unexplained {left(s):.1e}",
         "stepped last" in line and left(s) <= 1e-12 and estimated,
     )
 
 
-def believed(lie: int) -> Outcome:
+def believed(lie: int) -> StressOutcome:
     """A lie about what nobody asks a unit of another tool for."""
     result, told = lied_to(lie)
     off = apart(result, lied_to(HONEST)[0])
-    return Outcome(f"{off:.1e} from the honest run, {len(told)} lines told", off == 0.0 and not told)
+    return StressOutcome(f"{off:.1e} from the honest run, {len(told)} lines told", off == 0.0 and not told)
 
 
-def found_out(lie: int, *words: str) -> Outcome:
+def found_out(lie: int, *words: str) -> StressOutcome:
     """A lie that begins in the run: it ends with the unit's name."""
     from phfmu import StepFailure
 
     return refused(lambda: lied_to(lie), StepFailure, "pump", *words)
 
 
-def converted() -> Outcome:
+def converted() -> StressOutcome:
     """A force of 1 kN that the unit takes for 1 moves a mass of 1 as 1 N moves one of 1 g."""
     off = apart(lied_to(HONEST, "kN", 1e-3)[0], lied_to(HONEST)[0])
-    return Outcome(f"{off:.1e} from the same unit in N", off <= 1e-11)
+    return StressOutcome(f"{off:.1e} from the same unit in N", off <= 1e-11)
 
 
-def unfit() -> Outcome:
+def unfit() -> StressOutcome:
     """An effort in kg is none: power would not be in W."""
     from phfmu.fmu.export.variables import FMUError
 
@@ -131,7 +131,7 @@ def unfit() -> Outcome:
     return replace(found, happened=found.happened.replace(f"{_folder().name}/", ""))
 
 
-def elsewhere(h: float, version: str, growth: float) -> Outcome:
+def elsewhere(h: float, version: str, growth: float) -> StressOutcome:
     """The scene `oscillator` as units under a plain Jacobi loop: values of the last instant, the factor -1 on forces.
 
     growth: of the energy in 1 s, in units of H0, as an implicit midpoint rule by hand under such a loop has it.
@@ -161,7 +161,7 @@ def elsewhere(h: float, version: str, growth: float) -> Outcome:
     made, H0 = sum(H.values()) - sum(start.values()), sum(start.values())
     ours = run(coupled(net, Jacobi()), stop, h).ledger.summary()
     ratio = made / sum(j.residual for j in ours.junctions)
-    return Outcome(
+    return StressOutcome(
         f"energy grew by {made / H0:.3g} H0, all of it made by the connections ({abs(made - junctions) / abs(made):.1e} left); "
         f"residual of a unit {worst:.1e} of its energy, gap {gap:.1e}; {ratio:.6f} of --coupling jacobi",
         max(worst, gap) <= 1e-12
@@ -186,7 +186,7 @@ def _exchange(net: Any, units: dict[str, Any]) -> None:
         unit.set_input(u[n])
 
 
-def struck() -> Outcome:
+def struck() -> StressOutcome:
     """An impulse of 3 N s on 2 kg that moves: the jump of its speed, and the work J (v- + v+) / 2."""
     from phfmu.components.mechanical.translational import mass
     from phfmu.studies.stress.drive import instance
@@ -195,26 +195,26 @@ def struck() -> Outcome:
     unit.set_impulses([3.0], [0.0])
     unit.do_step(0.0, 0.1)
     v, work = float(unit.x[1]), float(unit.ledger()["pairs"][0])
-    return Outcome(f"v = {v:.17g} m/s, work {work:.17g} J", abs(v - 2.0) <= 1e-15 and abs(work - 3.75) <= 1e-14)
+    return StressOutcome(f"v = {v:.17g} m/s, work {work:.17g} J", abs(v - 2.0) <= 1e-15 and abs(work - 3.75) <= 1e-14)
 
 
 CASES = (
-    Case("units", "a unit that restores its state in part", "named, stepped last; unexplained <= 1e-12, never closed",
-         lambda: named(FORGETS)),
-    Case("units", "a unit that takes another step every time", "named, stepped last; unexplained <= 1e-12, never closed",
-         lambda: named(CHANCE)),
-    Case("units", "outputs that change without an input", "named, stepped last; unexplained <= 1e-12, never closed",
-         lambda: named(DRIFTS)),
-    Case("units", "steps that do not repeat, from 0.25 s on", "ends with the name of the unit; no shorter step is advised",
-         lambda: found_out(CHANCE_LATE, "does not restore its state", "--coupling gauss-seidel")),
-    Case("units", "an output that is not a number, from 0.25 s on", "ends with the names of unit and output",
-         lambda: found_out(NOT_A_NUMBER, "'v' = nan")),
-    Case("units", "directional derivatives that are wrong", "not asked for: the bits of the honest unit",
-         lambda: believed(DERIVATIVES)),
-    Case("units", "a force in kN", "converted: 1e-11", converted),
-    Case("units", "a force in kg", "refused with variable and unit", unfit),
-    *(Case("units", f"another master, plain Jacobi, FMI {v}, h = {h:g} s",
-           f"units close to 1e-12; the connections make all energy, {g:g} H0 to 3 %, as --coupling jacobi does to 1e-9",
-           lambda v=v, h=h, g=g: elsewhere(h, v, g)) for v, h, g in (("2.0", 0.01, 19.0), ("3.0", 0.04, 2.2e4))),
-    Case("struck", "an impulse on a mass", "jump J / m, work J (v- + v+) / 2", struck),
+    StressCase("units", "a unit that restores its state in part", "named, stepped last; unexplained <= 1e-12, never closed",
+               lambda: named(FORGETS)),
+    StressCase("units", "a unit that takes another step every time", "named, stepped last; unexplained <= 1e-12, never closed",
+               lambda: named(CHANCE)),
+    StressCase("units", "outputs that change without an input", "named, stepped last; unexplained <= 1e-12, never closed",
+               lambda: named(DRIFTS)),
+    StressCase("units", "steps that do not repeat, from 0.25 s on", "ends with the name of the unit; no shorter step is advised",
+               lambda: found_out(CHANCE_LATE, "does not restore its state", "--coupling gauss-seidel")),
+    StressCase("units", "an output that is not a number, from 0.25 s on", "ends with the names of unit and output",
+               lambda: found_out(NOT_A_NUMBER, "'v' = nan")),
+    StressCase("units", "directional derivatives that are wrong", "not asked for: the bits of the honest unit",
+               lambda: believed(DERIVATIVES)),
+    StressCase("units", "a force in kN", "converted: 1e-11", converted),
+    StressCase("units", "a force in kg", "refused with variable and unit", unfit),
+    *(StressCase("units", f"another master, plain Jacobi, FMI {v}, h = {h:g} s",
+                 f"units close to 1e-12; the connections make all energy, {g:g} H0 to 3 %, as --coupling jacobi does to 1e-9",
+                 lambda v=v, h=h, g=g: elsewhere(h, v, g)) for v, h, g in (("2.0", 0.01, 19.0), ("3.0", 0.04, 2.2e4))),
+    StressCase("struck", "an impulse on a mass", "jump J / m, work J (v- + v+) / 2", struck),
 )  # fmt: skip

@@ -1,8 +1,8 @@
-"""What a description says that no run needs, kept to be written again: words, geometry, enumerations, meta data, annotations of
-other tools.
+"""Content of a description that no run needs, carried through to be written again: words, geometry, enumerations, meta data,
+annotations of other tools.
 
-Of the outermost system and its own components; what lies deeper is taken apart when it is read, and told.  Signatures of what is
-written anew would be wrong; those of units and of meta data stay.
+Only the outermost system and its own components carry it; what lies deeper is taken apart when it is read, and told.  Signatures
+of what is written anew would be wrong; those of units and of meta data stay.
 """
 
 from __future__ import annotations
@@ -65,8 +65,8 @@ NOTHING = Part()
 
 
 @dataclass(frozen=True)
-class Kept:
-    """Components by member; connectors by member and name; connections by both ends."""
+class RoundTripContent:
+    """Parts of a description that no run needs: components by member; connectors by member and name; connections by both ends."""
 
     root: Part = NOTHING
     system: Part = NOTHING
@@ -78,8 +78,8 @@ class Kept:
     #: lines about what is not
     lost: tuple[str, ...] = ()
 
-    def of_version(self, version: str) -> Kept:
-        """Without meta data, and with a line about them, where SSP has none."""
+    def of_version(self, version: str) -> RoundTripContent:
+        """The content that SSP `version` can hold: without meta data, and with a line about them, where it has none."""
         parts = [self.root, self.system, *self.components.values()]
         n = sum(len(p.meta) for p in parts)
         if version != "1.0" or not n:
@@ -87,7 +87,7 @@ class Kept:
         components = {name: replace(p, meta=()) for name, p in self.components.items()}
         line = f"{counted(n, 'element')} of meta data left out: SSP 1.0 has none, --ssp 2.0 keeps them"
         ours = replace(self.root, meta=()), replace(self.system, meta=())
-        return Kept(*ours, components, self.connectors, self.connections, {}, (*self.lost, line))
+        return RoundTripContent(*ours, components, self.connectors, self.connections, {}, (*self.lost, line))
 
     def component(self, member: str) -> Part:
         return self.components.get(member, NOTHING)
@@ -101,14 +101,14 @@ class Kept:
         return [deepcopy(u) for u in self.root.children.get("Units", ()) if u.get("name") not in names]
 
     def annotations(self) -> list[Element]:
-        """Those of other tools at the system."""
+        """Annotations of other tools at the system."""
         return [deepcopy(a) for a in self.system.children.get("Annotations", ())]
 
     def connector(self, member: str, name: str) -> Part:
         return self.connectors.get((member, name), NOTHING)
 
 
-def kept(root: Element, source: Source) -> Kept:
+def round_trip_content(root: Element, source: Source) -> RoundTripContent:
     """The kept parts of a description that has been read."""
     system = root.find(tag("ssd", "System"))
     components, connectors = {}, {}
@@ -126,7 +126,9 @@ def kept(root: Element, source: Source) -> Kept:
     ours = _part(root, ABOUT, ROOT), _part(system, WORDS, SYSTEM)
     meta = [m for p in (*ours, *components.values()) for m in p.meta]
     files, missing = _files(meta, source)
-    return Kept(*ours, components, connectors, connections, files, (*_lost(system), *_unkept(root, meta), *missing))
+    return RoundTripContent(
+        *ours, components, connectors, connections, files, (*_lost(system), *_unkept(root, meta), *missing)
+    )
 
 
 def _files(meta: Sequence[Element], source: Source) -> tuple[dict[str, bytes], list[str]]:

@@ -5,7 +5,7 @@ from typing import Any
 from phfmu.audit.summary import LedgerSummary
 
 
-class Unbooked:
+class NullLedger:
     """Takes what a `Ledger` takes and keeps nothing; its summary is that of no steps."""
 
     CARRIED = ()
