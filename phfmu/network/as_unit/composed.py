@@ -19,7 +19,7 @@ from phfmu.discretise.within import polynomial_of
 from phfmu.engine.build.codegen import kernel_table
 from phfmu.engine.build.tables import array_text, c_text, events_text
 from phfmu.engine.model import kernels
-from  import fit
+from phfmu.events.polynomial import guard_fit
 from phfmu.fmu.export.unit_modes import ROWS, SWITCHES, UnitModes, events_symbol, model_symbol, unit_modes
 from phfmu.fmu.words import c_string
 from phfmu.fmu.xml import number
@@ -240,7 +240,7 @@ class ComposedEvents:
         """The polynomial of the states of member number i within its steps, and its name in C."""
         if self.models[i].step.nx == 0:
             return "", "0"
-        p, found = polynomial_of(self.models[i]), fit(self.models[i].step.k)
+        p, found = polynomial_of(self.models[i]), guard_fit(self.models[i].step.k)
         weights = [p.nodes.integral(float(t)) for t in found.tau]
         arrays: dict[str, Any] = {"fit_tau": found.tau, "fit_weights": np.array(weights)}
         arrays |= {f"polynomial_{n}": getattr(p, n) for n in ("state", "w", "node", "start_state", "start_w")}
