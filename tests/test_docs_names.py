@@ -49,6 +49,14 @@ def words() -> set[str]:
     return {word for text in code for word in re.findall(r"[A-Za-z_]\w*", text)} | {Path(path).stem for path in tree()}
 
 
+@cache
+def classes() -> set[str]:
+    """Names that begin with a capital and are defined or imported, of classes and of types."""
+    rule = re.compile(r"\b(?:class|import|as|def) ([A-Z]\w*)|^ *([A-Z]\w*) *[:=]", re.MULTILINE)
+    code = [text for path, text in tree().items() if path.endswith((".py", ".pyi"))]
+    return {name for text in code for pair in rule.findall(text) for name in pair}
+
+
 def files(path: str) -> list[str]:
     """The files that a page may mean by a path, or by the end of one."""
     if "*" in path:
@@ -106,3 +114,4 @@ def test_names_exist(page: Path) -> None:
     parts = {part for name in NAME.findall(prose(page)) for part in name.split(".")}
     odd = {part for part in parts if "_" in part.strip("_") or re.search(r"[a-z][A-Z]|^[A-Z][a-z]{3}|^[A-Z]{4}", part)}
     assert odd - words() - own == set()
+    assert {part for part in odd if re.search(r"^[A-Z]\w*[a-z]", part)} - classes() - own == set()

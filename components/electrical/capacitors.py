@@ -24,7 +24,7 @@ def capacitor_network(
     ports:       terminal1 ..: the current INTO the capacitors given, voltage out
     parameters:  S (n (n + 1)/2) [1/F]: the rows of the upper triangle of S
     `v` (n x 3): start voltages [V];  `nominal`: typical voltage [V];
-    `rated`: typical current [A].  ValueError for a matrix that is no such.
+    `rated`: typical current [A].  Raises ValueError for another matrix.
     """
     matrix = np.array(C, float)
     n = len(matrix)

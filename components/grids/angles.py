@@ -1,4 +1,4 @@
-"""Which buses of a grid hang together, and the angles that its voltages begin with: one linear (DC) power flow."""
+"""Connected buses of a grid, and the angles that its voltages begin with: one linear (DC) power flow."""
 
 from __future__ import annotations
 

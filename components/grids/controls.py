@@ -23,7 +23,7 @@ Numbers = Mapping[str, float]
 
 
 @dataclass
-class Controlled:
+class MachineSetpoints:
     """The set points of a machine whose controllers are there, by what they set; models used, and lines about the data."""
 
     free: list[str]
@@ -43,13 +43,13 @@ class Controllers:
         for d in dynamics:
             self.data.setdefault((d.bus, d.id), []).append(d)
 
-    def add(self, name: str, unit: str, machine: MachineData, bus: Bus, angle: float, power: float) -> Controlled:
+    def add(self, name: str, unit: str, machine: MachineData, bus: Bus, angle: float, power: float) -> MachineSetpoints:
         """Controllers of the machine `name`, which delivers `power` [1] of its rating; GridError for two of a kind.
 
         Members avr30, gov30, pss30 beside gen30, and meter30 at its bus.
         """
         found = {d.model: d for d in self.data.get((bus.number, unit), ())}
-        out = Controlled([f"{name}.field.v", f"{name}.shaft.torque"])
+        out = MachineSetpoints([f"{name}.field.v", f"{name}.shaft.torque"])
         label = name.removeprefix("gen")
         base = bases(machine)
         for kind, models in KINDS.items():
@@ -63,7 +63,15 @@ class Controllers:
         return out
 
     def _exciter(
-        self, name: str, label: str, d: Dynamics, base: Bases, bus: Bus, angle: float, power: float, out: Controlled
+        self,
+        name: str,
+        label: str,
+        d: Dynamics,
+        base: Bases,
+        bus: Bus,
+        angle: float,
+        power: float,
+        out: MachineSetpoints,
     ) -> None:
         v = d.values
         avr = f"avr{label}"
@@ -79,7 +87,15 @@ class Controllers:
         out.assumed.append("voltage measured at its bus with a lag of 0.02 s")
 
     def _governor(
-        self, name: str, label: str, d: Dynamics, base: Bases, bus: Bus, angle: float, power: float, out: Controlled
+        self,
+        name: str,
+        label: str,
+        d: Dynamics,
+        base: Bases,
+        bus: Bus,
+        angle: float,
+        power: float,
+        out: MachineSetpoints,
     ) -> None:
         gov, values = f"gov{label}", dict(d.values)
         for limit, least in _least(d.model, values, power).items():
@@ -93,7 +109,15 @@ class Controllers:
         out.used.append(d.model)
 
     def _stabiliser(
-        self, name: str, label: str, d: Dynamics, base: Bases, bus: Bus, angle: float, power: float, out: Controlled
+        self,
+        name: str,
+        label: str,
+        d: Dynamics,
+        base: Bases,
+        bus: Bus,
+        angle: float,
+        power: float,
+        out: MachineSetpoints,
     ) -> None:
         if not out.free[0].startswith("avr"):
             out.unused.append(f"{d.model}: there is no exciter for its signal")

@@ -126,11 +126,11 @@ def grid_model(
     controls: exciters, governors and stabilisers of the dynamic data; without them field voltages and torques are constant
     q_limits: a machine holds its voltage as far as its limits of q let it, else they are told where they are passed
     saturation: machines have the quadratic saturation of S(1.0) and S(1.2), else the account names what they leave out
-    GridError names what has no part here, and machines without data.
+    Raises GridError for devices without a part here, and for machines without data.
     """
     if plants not in get_args(Plants):
         raise ValueError(f"plants = '{plants}' is none of {', '.join(get_args(Plants))}")
-    return _Build(grid, plants, faults, breakers, controls, q_limits, saturation).model()
+    return _NetworkBuilder(grid, plants, faults, breakers, controls, q_limits, saturation).model()
 
 
 @dataclass
@@ -144,7 +144,9 @@ class _Node:
     demands: list[complex] = field(default_factory=list)
 
 
-class _Build:
+class _NetworkBuilder:
+    """The network of a grid under construction: its nodes, members, rows of the account and specifications."""
+
     def __init__(
         self,
         grid: Grid,

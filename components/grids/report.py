@@ -46,7 +46,7 @@ class Report:
                     yield f"    {word + ':':9}{text}"
 
     def beside(self) -> Iterable[str]:
-        """What of each kind was not used, and what was assumed, a line each with the number of devices."""
+        """Data of each kind that were not used, and assumptions, a line each with the number of devices."""
         found: dict[tuple[str, str, str], int] = {}
         for (kind, _, unused, assumed), names in self._groups():
             for word, text in (("unused", unused), ("assumed", assumed)):

@@ -125,7 +125,7 @@ def shortened(lines: Sequence[str], most: int = 4) -> list[str]:
 
 
 def _account(model: GridModel) -> list[str]:
-    """How well the operating point holds, and what of the file is not used or assumed, a line each."""
+    """Residual of the operating point, data of the file that are not used, and assumptions, a line each."""
     p = model.point
     return [
         f"operating point: {p.iterations} iterations, residual {p.residual:.1e} of the rates",

@@ -46,7 +46,7 @@ def gas_cylinder(
 
     bore, stroke [m];  ratio [1]: of the largest and the smallest volume;  height [m]: h at the start, default h_1
     kappa [1]: ratio of the heat capacities;  pressure [Pa], temperature [K]: p_0 and T_0
-    ValueError names what no cylinder can have.
+    Raises ValueError for values that no cylinder can have.
     The heat goes by the place of the piston and not by a clock, so the cycle runs at any speed and in both directions: the gas is
     hotter on its way out than on its way in, since heat takes time.
     Source: Callen, Thermodynamics (1985), chapter 3.4, for U; the walls are a simple model of a two-stroke cycle.

@@ -16,6 +16,7 @@ from phfmu.components.library import builder
 from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.runs.loop import run
 from phfmu.runs.result import Result
+from phfmu.studies.figures import pyplot, save
 
 STOP, STEP, OPENS, CHOP = 0.095, 1e-4, 80.0, 2000.0
 PHASES = {1: ("a", "#1f6fb4"), 2: ("b", "#d1711b"), 3: ("c", "#5b8c3a")}
@@ -56,10 +57,7 @@ def event_picture() -> PageBlock:
 
 
 def _draw() -> Sequence[Path]:
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
+    plt = pyplot()
 
     plt.rcParams.update({"font.size": 9.5, "axes.spines.top": False, "axes.spines.right": False})
     figure, axes = plt.subplot_mosaic(
@@ -70,8 +68,7 @@ def _draw() -> Sequence[Path]:
     _moved(axes["jumps"], chopped)
     _losses(axes["losses"], zeros, chopped, forced)
     path = DOCS / "results" / "img" / "events.png"
-    figure.savefig(path, dpi=150)
-    plt.close(figure)
+    save(figure, path)
     return (path,)
 
 

@@ -20,6 +20,7 @@ from phfmu import Collocated, Event, NativeInstance, Options, RunFunction, build
 from phfmu.components.electrical import synchronous_machine
 from phfmu.studies.bench.machine import machine_line, versions
 from phfmu.studies.bench.precision.reduced import ReducedSystem, live_values, reduced
+from phfmu.studies.figures import pyplot, save
 
 TURNS, STOP = 5, 0.2
 NAMES = ("J", "d", "ra", "xl", "xd", "xd1", "Td10", "xd2", "Td20", "xq", "xq2", "Tq20", "M_f")
@@ -225,10 +226,7 @@ def gradient_peers() -> PageBlock:
 
 
 def _draw() -> Sequence[Path]:
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
+    plt = pyplot()
 
     plt.rcParams.update({"font.size": 9.5, "axes.spines.top": False, "axes.spines.right": False})
     figure, ax = plt.subplots(figsize=(7.6, 4.4), layout="constrained")
@@ -240,6 +238,5 @@ def _draw() -> Sequence[Path]:
     ax.set(xlabel="CPU time of the value with its gradient, ms", ylabel="largest error of the gradient")
     ax.legend(frameon=False, fontsize=8.5)
     path = DOCS / "results" / "img" / "gradient_peers.png"
-    figure.savefig(path, dpi=150)
-    plt.close(figure)
+    save(figure, path)
     return (path,)

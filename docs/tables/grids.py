@@ -21,6 +21,7 @@ from phfmu.components.scenes.electrical.grids import ieee39, new_england, public
 from phfmu.derivatives.steady_steps import steady_steps
 from phfmu.operating import NetworkPoint
 from phfmu.runs.result import Result
+from phfmu.studies.figures import pyplot, save
 
 PUBLISHED = ROOT / "tests" / "reference" / "data" / "grids"
 #: begin and end of the fault of long runs [s], their length [s], their rows [s], and their steps [s] by grid
@@ -285,10 +286,7 @@ def _ending(r: Result) -> str:
 
 def _draw(name: str) -> Sequence[Path]:
     """docs/results/img/grids_<name>.png: speeds of all machines, and energies by kind of member."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
+    plt = pyplot()
 
     r = faulted(name)
     figure, (left, right) = plt.subplots(1, 2, figsize=(11, 3.6), constrained_layout=True)
@@ -307,6 +305,5 @@ def _draw(name: str) -> Sequence[Path]:
         panel.grid(alpha=0.25)
         panel.spines[["top", "right"]].set_visible(False)
     path = DOCS / "results" / "img" / f"grids_{name}.png"
-    figure.savefig(path, dpi=110)
-    plt.close(figure)
+    save(figure, path, 110)
     return [path]

@@ -11,6 +11,7 @@ from pages import DOCS, PageBlock, declared, table
 
 from phfmu import Coupled, EngineMember, NativeInstance, Network, Options, PythonInstance, build_model, run
 from phfmu.runs.result import Result
+from phfmu.studies.figures import pyplot, save
 
 STEP, VOLTAGE = 2e-3, 24.0
 COIL, PLATES, LOST, BANK, LEAK = "#1f6fb4", "#5b8c3a", "#b9402f", "#d1711b", "#8a6bb1"
@@ -68,10 +69,7 @@ def mental_model_picture() -> PageBlock:
 
 
 def _draw() -> Sequence[Path]:
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
+    plt = pyplot()
 
     plt.rcParams.update({"font.size": 9.5, "axes.spines.top": False, "axes.spines.right": False})
     figure, axes = plt.subplots(2, 2, figsize=(9, 6.4), layout="constrained", width_ratios=(1, 1.15))
@@ -80,8 +78,7 @@ def _draw() -> Sequence[Path]:
     _energy(axes[1, 0])
     _ledger(axes[1, 1])
     path = DOCS / "img" / "mental-model.png"
-    figure.savefig(path, dpi=150)
-    plt.close(figure)
+    save(figure, path)
     return (path,)
 
 

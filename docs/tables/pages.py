@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.studies.markdown import markdown_table
+from phfmu.studies.tables import markdown_table
 
 Array = NDArray[np.float64]
 ROOT = Path(__file__).parents[2]

@@ -14,6 +14,7 @@ from phfmu.studies.bench.precision.candidate import Candidate
 from phfmu.studies.bench.precision.problem import WorkPrecisionProblem
 from phfmu.studies.bench.precision.report import draw_lines
 from phfmu.studies.bench.precision.work_precision import WorkPrecisionRow, WorkPrecisionTable, cost_at, measure
+from phfmu.studies.figures import pyplot, save
 
 Measured = TypeVar("Measured", bound=WorkPrecisionProblem)
 
@@ -54,10 +55,7 @@ def draw_panels(
     foot: str,
 ) -> Sequence[Path]:
     """docs/results/img/PICTURE: a panel for each (title, case, rows, what the error is of), each of a size in inch."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
+    plt = pyplot()
 
     lines = -(-len(panels) // columns)
     figure, axes = plt.subplots(
@@ -71,6 +69,5 @@ def draw_panels(
         ax.legend(fontsize=7, frameon=False)
     figure.supxlabel(foot, fontsize=7, color="0.4")
     path = DOCS / "results" / "img" / picture
-    figure.savefig(path, dpi=130)
-    plt.close(figure)
+    save(figure, path, 130)
     return (path,)

@@ -16,6 +16,7 @@ from phfmu.components.library import build
 from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.runs.loop import run
 from phfmu.runs.result import Result
+from phfmu.studies.figures import pyplot, save
 
 IMAGES = DOCS / "img"
 COLOURS = {"gen": "#1f6fb4", "line": "#d1711b", "grid": "#5b8c3a"}
@@ -61,10 +62,7 @@ def smib_picture() -> PageBlock:
 
 
 def _draw_smib() -> Sequence[Path]:
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
+    plt = pyplot()
 
     result, table = recorded("smib")
     t, window = result.time, 250
@@ -117,8 +115,7 @@ def _draw_smib() -> Sequence[Path]:
     ax.grid(axis="y", color="0.9")
 
     path = IMAGES / "smib.png"
-    figure.savefig(path, dpi=150)
-    plt.close(figure)
+    save(figure, path)
     return (path,)
 
 
@@ -137,10 +134,7 @@ def turned(swapped: bool) -> np.ndarray:
 
 
 def _draw_skew() -> Sequence[Path]:
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
+    plt = pyplot()
 
     plt.rcParams.update({"font.size": 10})
     figure, axes = plt.subplots(1, 2, figsize=(8, 4), layout="constrained")
@@ -161,6 +155,5 @@ def _draw_skew() -> Sequence[Path]:
         ax.axvline(0.0, color="0.8", lw=0.8, zorder=0)
         ax.set(title=title, xlabel="a", ylabel="b", xlim=(-1.3, 1.3), ylim=(-1.3, 1.3), aspect="equal")
     path = IMAGES / "skew.png"
-    figure.savefig(path, dpi=120)
-    plt.close(figure)
+    save(figure, path, 120)
     return (path,)

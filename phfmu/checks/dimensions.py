@@ -23,9 +23,9 @@ from phfmu.declare.expressions.dimension import (
     SECOND,
     WATT,
     Dimension,
+    DimensionAnalysis,
     Known,
     Number,
-    Walk,
     counted_numbers,
     of_unit,
 )
@@ -85,7 +85,7 @@ class _Check:
                 self._know(z[j], d if isinstance(d, Dimension) else None)
 
     def known(self, expr: ca.SX) -> list[Known]:
-        return Walk(expr, self.symbols).entries()
+        return DimensionAnalysis(expr, self.symbols).entries()
 
     # -- what should be ------------------------------------------------------------------------------------------------
 
@@ -168,7 +168,7 @@ class _Check:
     def _entry(self, e: Entry, wanted: Wanted) -> Iterator[Problem]:
         """The first clash inside an entry, else the first of its dimensions that does not fit."""
         expr = ca.sparsify(e.expr)
-        walk = Walk(expr, self.symbols)
+        walk = DimensionAnalysis(expr, self.symbols)
         found = walk.entries()
         if walk.clashes:
             yield Problem("dimension", e.label, walk.clashes[0], REMEDY, "warning")

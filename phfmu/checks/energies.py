@@ -13,11 +13,11 @@ from scipy.sparse.csgraph import connected_components
 
 from phfmu.checks.sample import Sample
 from phfmu.declare.energy import EnergyKind
-from phfmu.declare.entries.entries import Entries, Entry, Pair
+from phfmu.declare.entries.entries import Entries, Entry, PairEntry
 from phfmu.declare.entries.entry_kind import EntryKind
 from phfmu.declare.error import Problem
 from phfmu.declare.expressions.operations import piecewise
-from phfmu.declare.variable import Value
+from phfmu.declare.variable import ValueKind
 
 RELATIVE = 1e-8
 SMALL = 1e-6  # increment over nominal at which a pair is compared with its limit
@@ -48,7 +48,7 @@ def energies(entries: Entries, sample: Sample) -> list[Problem]:
 
 
 def _states(entries: Entries, expr: ca.SX) -> ca.SX:
-    return ca.vertcat(*(s for s in ca.symvar(expr) if entries.known[s.element_hash()].kind is Value.STATE))
+    return ca.vertcat(*(s for s in ca.symvar(expr) if entries.known[s.element_hash()].kind is ValueKind.STATE))
 
 
 def _start(label: str, text: str) -> Problem:
@@ -148,7 +148,7 @@ def closed_pairs(entries: Entries, sample: Sample) -> list[Problem]:
     return found
 
 
-def _pair(sample: Sample, pair: Pair) -> list[Problem]:
+def _pair(sample: Sample, pair: PairEntry) -> list[Problem]:
     n, p = pair.x.numel(), pair.origin
     names = [name for v in p.variables for name in v.names()]
     size = np.array([sample.size[i] for v in p.variables for i in sample.rows(v)])
@@ -199,7 +199,7 @@ def constants(entries: Entries, sample: Sample) -> list[Problem]:
             "energy", e.label, "no state in it, so it never changes: it is left out of H",
             "remove it, or check if a state was meant", "warning",
         )
-        for e in entries.of(EntryKind.H) if not _hashes(entries, e.expr, Value.STATE)
+        for e in entries.of(EntryKind.H) if not _hashes(entries, e.expr, ValueKind.STATE)
     ]  # fmt: skip
 
 
@@ -211,11 +211,13 @@ def bounded(entries: Entries, sample: Sample) -> list[Problem]:
     quadratic = [e for e in entries.of(EntryKind.H) if e.origin.kind is EnergyKind.QUADRATIC]
     others = [e.expr for e in entries.of(EntryKind.H) if e.origin.kind is not EnergyKind.QUADRATIC]
     others += [ca.SX(p.origin.hamiltonian) for p in entries.pairs]
-    held = set().union(*(_hashes(entries, expr, Value.STATE) for expr in others))
+    held = set().union(*(_hashes(entries, expr, ValueKind.STATE) for expr in others))
     total = ca.SX(0)
     for e in quadratic:
         total += e.expr
-    x = ca.vertcat(*(s for s in ca.symvar(total) if s.element_hash() in _hashes(entries, total, Value.STATE) - held))
+    x = ca.vertcat(
+        *(s for s in ca.symvar(total) if s.element_hash() in _hashes(entries, total, ValueKind.STATE) - held)
+    )
     if not x.numel():
         return []
     hessian = ca.hessian(total, x)[0]
@@ -256,5 +258,5 @@ def _used(entries: Entries, symbols: list[ca.SX], values: list[float]) -> str:
     return f" (with {', '.join(found[:6])}{', ..' if len(found) > 6 else ''})" if found else ""
 
 
-def _hashes(entries: Entries, expr: ca.SX, kind: Value) -> set[int]:
+def _hashes(entries: Entries, expr: ca.SX, kind: ValueKind) -> set[int]:
     return {s.element_hash() for s in ca.symvar(expr) if entries.known[s.element_hash()].kind is kind}

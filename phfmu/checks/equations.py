@@ -16,7 +16,7 @@ from phfmu.declare.entries.entry_kind import EntryKind
 from phfmu.declare.error import DeclarationError, Problem
 from phfmu.declare.junction_words import junction_words
 from phfmu.declare.phdae import PHDAE
-from phfmu.declare.variable import Value, _sx, time
+from phfmu.declare.variable import ValueKind, _sx, time
 from phfmu.discretise.model import CONSISTENCY, Model, build_model
 from phfmu.engine.reference.python import PythonInstance
 from phfmu.outcome.status import Status, StepFailure, remedy
@@ -92,7 +92,7 @@ def velocities(entries: Entries) -> list[Problem]:
         for s in ca.symvar(e.expr):
             symbol = entries.known[s.element_hash()]
             name = symbol.name
-            if symbol.kind is not Value.STATE or s.element_hash() in entries.doubtful:
+            if symbol.kind is not ValueKind.STATE or s.element_hash() in entries.doubtful:
                 continue
             text = _no_velocity(entries, ca.SX(ca.simplify(row.get(s.element_hash(), ca.SX(0)))))
             if not text and s.element_hash() in inert:
@@ -112,7 +112,7 @@ def _no_velocity(entries: Entries, rate: ca.SX) -> str:
     if not symbols:
         return "the rate is constant"
     first = entries.known[symbols[0].element_hash()]
-    if len(symbols) > 1 or first.kind is not Value.COSTATE:
+    if len(symbols) > 1 or first.kind is not ValueKind.COSTATE:
         return f"the rate depends on {', '.join(entries.known[s.element_hash()].name for s in symbols[:4])}"
     factor = ca.simplify(ca.gradient(rate, symbols[0]))
     if not factor.is_constant() or float(factor) != 1.0:

@@ -18,7 +18,7 @@ from phfmu.declare.entries.entry_kind import EntryKind
 from phfmu.declare.error import Problem
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.transform.regular import undetermined
-from phfmu.declare.variable import Value, key
+from phfmu.declare.variable import ValueKind, key
 
 RELATIVE = 1e-9  # of the numbers compared
 FLOOR = 1e-12  # of the largest entry of a block: rounding of entries that cancel to zero
@@ -31,7 +31,7 @@ def finite(entries: Entries, sample: Sample) -> list[Problem]:
     for e, value in zip(chosen, sample.of(chosen), strict=True):
         bad = ~np.isfinite(value)
         kinds = {entries.known[s.element_hash()].kind for s in ca.symvar(e.expr)}
-        exact = Value.ALGEBRAIC not in kinds and (Value.COSTATE not in kinds or sample.known_z[0].all())
+        exact = ValueKind.ALGEBRAIC not in kinds and (ValueKind.COSTATE not in kinds or sample.known_z[0].all())
         first = next((i for i in sample.starts if bad[i].any()), -1)
         if (exact and first >= 0) or bad.any(axis=(1, 2)).all():
             i = max(first, 0)
@@ -191,7 +191,7 @@ def masses(entries: Entries, sample: Sample) -> list[Problem]:
 
 
 def _remedy(entries: Entries, E: ca.SX, name: str) -> str:
-    states = any(entries.known[s.element_hash()].kind is Value.STATE for s in ca.symvar(E))
+    states = any(entries.known[s.element_hash()].kind is ValueKind.STATE for s in ca.symvar(E))
     if states:
         return "start elsewhere; for E of constant rank declare the form of `Parametrised`"
     if E.sparsity().is_diag():

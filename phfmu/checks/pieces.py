@@ -13,7 +13,7 @@ from phfmu.declare.entries.entries import Entries
 from phfmu.declare.entries.entry_kind import EntryKind
 from phfmu.declare.error import Problem
 from phfmu.declare.expressions.operations import analytic, piecewise, switches
-from phfmu.declare.variable import Value
+from phfmu.declare.variable import ValueKind
 
 POINTS = 129  # of a line on which pieces are looked for
 REACH = 3.0  # half its length, in sizes of the states
@@ -72,7 +72,7 @@ def _found(entries: Entries, sample: Sample) -> list[_Pieces]:
         return []
     out = []
     for label, expr in named:
-        x = ca.vertcat(*(s for s in ca.symvar(expr) if entries.known[s.element_hash()].kind is Value.STATE))
+        x = ca.vertcat(*(s for s in ca.symvar(expr) if entries.known[s.element_hash()].kind is ValueKind.STATE))
         names = piecewise(expr, x) if x.numel() else ()
         if names:
             settings = sample.settings if ca.depends_on(expr, _parameters(entries)) else sample.settings[:1]

@@ -45,7 +45,7 @@ class Block:
 
     @cached_property
     def pattern(self) -> ca.DM:
-        """Where its entries are not zero by their structure."""
+        """Places of its entries that are not zero by their structure."""
         one = ca.DM(self.value.sparsity(), 1.0)
         if self.factor is None:
             return one

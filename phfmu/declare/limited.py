@@ -20,7 +20,7 @@ BAND = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Limit:
-    """What a limit makes of an expression: `expr` takes its place; `mode` and `events` join those of the declaration."""
+    """A limited expression: `expr` takes its place; `mode` and `events` join those of the declaration."""
 
     expr: ca.SX
     mode: Variable

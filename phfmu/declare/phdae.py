@@ -250,7 +250,7 @@ def require_declaration(item: Any, what: str) -> PHDAE:
 MOST = 4  # numbers of a vector that are shown
 
 
-class Shown(Protocol):
+class DeclarationSummary(Protocol):
     """The parts of a declaration that are shown."""
 
     @property
@@ -271,7 +271,7 @@ class Shown(Protocol):
     def state_events(self) -> tuple[Any, ...]: ...
 
 
-def _line(d: Shown) -> str:
+def _line(d: DeclarationSummary) -> str:
     """Name and sizes."""
     sizes = (
         (sum(v.n for v in d.states), "state"),
@@ -283,12 +283,12 @@ def _line(d: Shown) -> str:
     return f"PHDAE {d.name}: {', '.join(counted(n, noun) for n, noun in sizes if n) or 'empty'}"
 
 
-def _table(d: Shown) -> str:
+def _table(d: DeclarationSummary) -> str:
     """Its variables, ports and observables with units and starts."""
     return grid(_line(d), ("", "name", "unit", "start", ""), rows(d), d.description)
 
 
-def rows(d: Shown) -> Iterator[tuple[str, str, str, str, str]]:
+def rows(d: DeclarationSummary) -> Iterator[tuple[str, str, str, str, str]]:
     """(kind, name, unit, start, description)."""
     for kind, variables in (("state", d.states), ("algebraic", d.algebraics), ("parameter", d.parameters)):
         for v in variables:

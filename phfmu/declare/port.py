@@ -104,7 +104,7 @@ class Port:
             object.__setattr__(self, "u", ca.SX.sym("u." + self.name, self.n))
 
     def _require_sound(self) -> None:
-        """DeclarationError for a domain, a given member or columns that are none; what they hold is for `check`."""
+        """Raise DeclarationError if the domain, the given member or the columns are none; `check` looks at their contents."""
         entry, example = f"port '{self.name}'", f'Port("{self.name}", ELECTRICAL, "effort", {{flux: 1.0}})'
         domain, remedy = self.domain, f"e.g. {example}"
         if not isinstance(domain, Domain):
@@ -173,7 +173,7 @@ class Port:
         return self._names(self.domain.word(self.given))
 
     def input_starts(self) -> tuple[float, ...]:
-        """Values of the scalar inputs before anyone sets them; DeclarationError for what fits no port of this size."""
+        """Values of the scalar inputs before anyone sets them; DeclarationError if they do not fit the size of the port."""
         return _values(self.name, "start", self.start, self.n)
 
     def output_names(self, suffix: str = "") -> list[str]:

@@ -102,7 +102,7 @@ def to_data(shapes: Sequence[Shape]) -> list[dict[str, Any]]:
 
 
 def from_data(data: Sequence[Mapping[str, Any]]) -> tuple[Shape, ...]:
-    """The shapes that `to_data` made of them. Errors: KeyError, TypeError, ValueError for anything else."""
+    """The shapes that `to_data` made of them. Raises KeyError, TypeError or ValueError for other data."""
 
     def vector(v: Sequence[Any]) -> Vector:
         x, y, z = map(float, v)

@@ -19,7 +19,7 @@ from phfmu.declare.elements import element_names, labelled
 from phfmu.declare.error import DeclarationError
 
 
-class Value(Enum):
+class ValueKind(Enum):
     """A kind of value that expressions of a declaration are made of."""
 
     STATE = "x"

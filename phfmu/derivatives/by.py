@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.declare.entries.parameter_limits import Limit, limits
+from phfmu.declare.entries.parameter_limits import ParameterLimit, limits
 from phfmu.declare.phdae import PHDAE
 from phfmu.discretise.model import Model
 from phfmu.signals import of_member
@@ -24,7 +24,7 @@ DIFFERENCES = (2e-4, 1e-4)
 
 
 @dataclass(frozen=True)
-class Directions:
+class TangentDirections:
     """Scalars to derive by: places among the parameters, and among the inputs, which are held over a step."""
 
     parameters: tuple[int, ...]
@@ -35,21 +35,21 @@ class Directions:
         return len(self.parameters) + len(self.inputs)
 
     def of(self, p: Array, u: Array) -> Array:
-        """What belongs to them (.. x n) of what belongs to all parameters (.. x np) and inputs (.. x nu)."""
+        """Entries of these scalars (.. x n) among those of all parameters (.. x np) and inputs (.. x nu)."""
         return np.concatenate([p[..., list(self.parameters)], u[..., list(self.inputs)]], axis=-1)
 
 
 @dataclass(frozen=True)
-class Given:
-    """What may be derived by: start values, nominal values of states, limits of parameters, and units, by name."""
+class ScalarData:
+    """Scalars that a run may be derived by: start values, nominal values of states, limits of parameters, and units, by name."""
 
     start: dict[str, float]
     nominal: dict[str, float]
-    limits: dict[str, Limit]
+    limits: dict[str, ParameterLimit]
     units: dict[str, str]
 
     @staticmethod
-    def of(model: Model) -> Given:
+    def of(model: Model) -> ScalarData:
         """Those of a model."""
         d, values = model.declaration, (*model.declaration.parameters, *model.declaration.states)
         start = {n: x for v in values for n, x in zip(v.names(), v.start, strict=True)}
@@ -59,12 +59,12 @@ class Given:
         units = {n: v.unit for v in values for n in v.names()} | {
             n: p.input_unit for p in ports for n in p.input_names()
         }
-        return Given(start, nominal, limits(d), units)
+        return ScalarData(start, nominal, limits(d), units)
 
     @staticmethod
-    def joined(members: Mapping[str, Given]) -> Given:
+    def joined(members: Mapping[str, ScalarData]) -> ScalarData:
         """Those of members, by the name of the whole."""
-        found = Given({}, {}, {}, {})
+        found = ScalarData({}, {}, {}, {})
         for m, own in members.items():
             for to, values in zip(vars(found).values(), vars(own).values(), strict=True):
                 to.update({of_member(m, n): v for n, v in values.items()})
@@ -72,20 +72,20 @@ class Given:
 
 
 @dataclass(frozen=True)
-class By:
+class IndependentVariables:
     """Scalar names that a run is derived by, in their order: each is a parameter, an input or the start of a state."""
 
     names: tuple[str, ...]
-    directions: Directions
+    directions: TangentDirections
     #: column of each direction, and of the start of each state: (state, column)
     columns: tuple[int, ...]
     starts: tuple[tuple[int, int], ...]
 
     @staticmethod
-    def of(declaration: PHDAE, names: Sequence[str]) -> By:
-        """Vectors stand for all their entries.  KeyError names what is no parameter, input or state."""
+    def of(declaration: PHDAE, names: Sequence[str]) -> IndependentVariables:
+        """Vectors stand for all their entries.  Raises KeyError for a name that is no parameter, input or state."""
         d = declaration
-        found = By.chosen(*declared_scalars(d), names, d.unknown_name)
+        found = IndependentVariables.chosen(*declared_scalars(d), names, d.unknown_name)
         if modes := [n for n in found.names if n in d.modes]:
             raise KeyError(f"{d.name}: '{modes[0]}' is a mode that state events set; there is no derivative by it")
         return found
@@ -97,7 +97,7 @@ class By:
         x: Sequence[str],
         names: Sequence[str],
         unknown: Callable[[str], str] = "there is no '{}'".format,
-    ) -> By:
+    ) -> IndependentVariables:
         """The same of scalar parameters, inputs and states by their names; unknown: words for a name that is none of them."""
         whole: dict[str, list[str]] = {}
         for n in (*p, *u, *x):
@@ -106,9 +106,9 @@ class By:
         if lost := [n for n in scalars if n not in (*p, *u, *x)]:
             raise KeyError(unknown(lost[0]))
         of_p, of_u = ([n for n in scalars if n in set(some)] for some in (p, u))
-        directions = Directions(tuple(p.index(n) for n in of_p), tuple(u.index(n) for n in of_u))
+        directions = TangentDirections(tuple(p.index(n) for n in of_p), tuple(u.index(n) for n in of_u))
         starts = tuple((x.index(n), scalars.index(n)) for n in scalars if n in set(x))
-        return By(tuple(scalars), directions, tuple(scalars.index(n) for n in (*of_p, *of_u)), starts)
+        return IndependentVariables(tuple(scalars), directions, tuple(scalars.index(n) for n in (*of_p, *of_u)), starts)
 
     def among(self, name: str) -> list[str]:
         """The names that `name` means, a vector all its entries."""
@@ -153,7 +153,7 @@ def require_known(slopes: Array, signal: str) -> None:
         )
 
 
-def start_tangents_by(model: Model, by: By, given: Array, x: Array, p: Array, t: float) -> Array:
+def start_tangents_by(model: Model, by: IndependentVariables, given: Array, x: Array, p: Array, t: float) -> Array:
     """Tangents (nx x names) of the states at a start x, which `given` was projected to where constraints hold."""
     S, along = np.zeros((model.step.nx, len(by.names))), np.zeros((len(p), len(by.names)))
     for state, column in by.starts:

@@ -10,7 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.derivatives.by import By, Given
+from phfmu.derivatives.by import IndependentVariables, ScalarData
 from phfmu.derivatives.event_maps import EventMaps
 from phfmu.derivatives.mode_entry import ModeEntry
 from phfmu.derivatives.tangents import in_parts, require_derived
@@ -64,7 +64,7 @@ def span(t: Array, h: Array) -> tuple[float, float]:
     return (float(t[0] - 1e-9 * h[0]), float(t[-1] + (1 - 1e-9) * h[-1])) if len(t) else (-np.inf, -np.inf)
 
 
-class Met(Protocol):
+class SimultaneousEvents(Protocol):
     """State events that happened at one instant."""
 
     @property
@@ -75,7 +75,7 @@ class Met(Protocol):
     def rests(self) -> tuple[int, ...]: ...
 
 
-def close_events(met: Sequence[Met], names: Sequence[str], h: float) -> list[str]:
+def close_events(met: Sequence[SimultaneousEvents], names: Sequence[str], h: float) -> list[str]:
     """Lines on state events, by number of the guards `names`, in steps of length h, whose sequence other values may change."""
     found, near = list[str](), LIMITS["PILE_UP"] * h
     for e in met:
@@ -113,7 +113,7 @@ class DerivedSteps(Monolithic):
 
     def __init__(self, model: Model, instance: Any, by: Sequence[str]):
         super().__init__(model, instance)
-        self.by = By.of(model.declaration, by)
+        self.by = IndependentVariables.of(model.declaration, by)
         sides = set() if model.modes is None else {s.mode_name for s in model.modes.modes.switches}
         if found := [n for n in self.by.names if n in sides]:
             raise KeyError(f"{model.name}: '{found[0]}' is the mode of an ideal switch; there is no derivative by it")
@@ -164,13 +164,13 @@ class DerivedSteps(Monolithic):
         return tuple(e.events for e in self.met)
 
     @property
-    def known(self) -> Given:
+    def known(self) -> ScalarData:
         """Start values, sizes, limits and units of what it can be derived by."""
-        return Given.of(self.model)
+        return ScalarData.of(self.model)
 
     @property
     def identity(self) -> tuple[Any, ...]:
-        """As `identity_of`."""
+        """Identity of the run (see `identity_of`)."""
         return identity_of(self.model)
 
     @property
@@ -185,7 +185,7 @@ class DerivedSteps(Monolithic):
         )
 
     def forget(self) -> None:
-        """What was kept of the steps so far belongs to another run."""
+        """Discard the steps so far, which belong to another run."""
 
     def cut(self, name: str) -> None:
         """A value of a parameter or input is set that does not follow that of the start."""
@@ -197,7 +197,7 @@ class DerivedSteps(Monolithic):
         return kind
 
     def project_start(self, t0: float, kept: Sequence[str] = ()) -> Projection | None:
-        """As of `Monolithic`; ValueError with states that are kept, which the tangents of a start do not know."""
+        """Project the start as `Monolithic` does; ValueError with states that are kept, which tangents of a start do not know."""
         if kept and not self.begun:
             raise ValueError(f"{self.model.name}: derivatives and --keep {kept[0]} do not go together")
         return super().project_start(t0, kept)
@@ -207,7 +207,7 @@ class DerivedSteps(Monolithic):
         raise ValueError(f"{self.model.name}: derivatives are told of equal steps; leave out --rtol")
 
     def companion(self, scheme: Scheme) -> Any:
-        """As of `Monolithic`; ValueError with state events, behind which parts of steps would be damped."""
+        """The companion of `Monolithic`; raises ValueError with state events, behind which parts of steps would be damped."""
         if self.model.events is not None:
             raise ValueError(
                 f"{self.model.name}: derivatives through state events are told of steps that are not damped; leave out "
@@ -230,7 +230,7 @@ class DerivedSteps(Monolithic):
         raise NotImplementedError
 
     def taken(self, instance: Any, t0: float, h: float, n: int, first: int = 0) -> Steps:
-        """As of `Monolithic`; what is known of steps of a companion counts once the instance goes on from it (`follow`)."""
+        """Steps that were taken, as in `Monolithic`; those of a companion count once the instance goes on from it (`follow`)."""
         if instance is self.instance:
             return super().taken(instance, t0, h, n, first)
         before = self.kept()
@@ -246,7 +246,7 @@ class DerivedSteps(Monolithic):
         self._tried = None
 
     def advance_with(self, inputs: Sequence[tuple[int, Event]], t0: float, h: float, n: int, first: int = 0) -> Steps:
-        """As of `Monolithic`; ValueError where an input changes that is derived by."""
+        """Advance as `Monolithic` does; raises ValueError if an input changes that the run is derived by."""
         self._require_constant([e.name for _, e in inputs])
         return super().advance_with(inputs, t0, h, n, first)
 
@@ -264,7 +264,7 @@ class DerivedSteps(Monolithic):
         yield from super().landed(instance, grid, changed)
 
     def landings(self, instance: Any, before: Array, parts: Iterable[Landed]) -> Iterator[Landing]:
-        """As of `Monolithic`; each part has been handed to `follow_landed`, which adds to its rows."""
+        """The landings of `Monolithic`; each part has been handed to `follow_landed`, which adds to its rows."""
         assert self.maps is not None
         p, u, current = instance.parameters.copy(), instance.held_input.copy(), list[Landed]()
         place, x = instance.layout["x"], instance.x[: self.model.step.nx].copy()

@@ -22,8 +22,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.derivatives.by import Directions
-from phfmu.derivatives.plan_function import PlanFunction, Point
+from phfmu.derivatives.by import TangentDirections
+from phfmu.derivatives.plan_function import PlanFunction, PlanPoint
 from phfmu.discretise.model import Model
 from phfmu.events.event_plan import EventPlan
 from phfmu.events.impulse import factored, impulses, pushing
@@ -59,8 +59,8 @@ class JumpSlope(Slope):
 
 
 @dataclass(frozen=True)
-class Instant:
-    """Where an event is looked at: its time, states (nx), algebraic variables (na), inputs (nu), parameters (np)."""
+class EventInstant:
+    """The instant of an event: its time, states (nx), algebraic variables (na), inputs (nu), parameters (np)."""
 
     t: float
     x: Array
@@ -72,7 +72,7 @@ class Instant:
 class EventMaps:
     """Derivatives of the guards and jumps of a model with state events, along `directions`."""
 
-    def __init__(self, model: Model, plan: EventPlan, directions: Directions):
+    def __init__(self, model: Model, plan: EventPlan, directions: TangentDirections):
         self._model, self._directions, self.plan = model, directions, plan
         self._functions: dict[int, Any] = {}
         self._algebraics: PlanFunction | None = None
@@ -103,7 +103,7 @@ class EventMaps:
 
     # -- guards ------------------------------------------------------------------------------------------------------
 
-    def guard(self, i: int, at: Instant) -> Slope:
+    def guard(self, i: int, at: EventInstant) -> Slope:
         """Derivative of guard i at an instant; algebraic variables follow from the states there."""
         group, row = next((g, int(j)) for g in self.plan.groups for j in np.flatnonzero(g.oi[:, 0] == i))
         _, slopes = self._at(group, row, at)
@@ -119,19 +119,19 @@ class EventMaps:
         found = Slope(x[:nx], float(x[nx]), self._directions.of(p, u))
         return found if not a.any() else self._with_algebraics(found, a, at)
 
-    def _with_algebraics(self, own: Slope, a: Array, at: Instant) -> Slope:
-        """What follows from algebraic variables, of which these are the derivatives, too."""
+    def _with_algebraics(self, own: Slope, a: Array, at: EventInstant) -> Slope:
+        """Derivatives with those through algebraic variables, whose own derivatives are given."""
         plan, d = self._model.instant, self._directions
         if self._algebraics is None:
             self._algebraics = PlanFunction(plan, lambda rows: rows.algebraics, d, moves=True)
         w = np.zeros((1, plan.nw))
         w[:, plan.mean_w] = at.a[plan.mean_a]
-        point = Point(np.append(at.x, at.t)[None], w, at.u[None], at.p[None], np.ones(1))
-        point = Point(point.x, self._algebraics.solved(point), point.u, point.p, point.h)
+        point = PlanPoint(np.append(at.x, at.t)[None], w, at.u[None], at.p[None], np.ones(1))
+        point = PlanPoint(point.x, self._algebraics.solved(point), point.u, point.p, point.h)
         more, n = a @ self._algebraics.response(point).told[0], plan.nx
         return Slope(own.x + more[:n], own.t + float(more[n + d.n]), own.along + more[n : n + d.n])
 
-    def _at(self, group: Group, i: int, at: Instant) -> tuple[Array, Array]:
+    def _at(self, group: Group, i: int, at: EventInstant) -> tuple[Array, Array]:
         """Results of instance i of a group at an instant, and their derivatives by its arguments x, y and p."""
         key = id(group.kernel)
         if key not in self._functions:
@@ -146,7 +146,7 @@ class EventMaps:
 
     # -- jumps -------------------------------------------------------------------------------------------------------
 
-    def jumped(self, at: Instant, fired: Sequence[int], rests: Sequence[int]) -> Array:
+    def jumped(self, at: EventInstant, fired: Sequence[int], rests: Sequence[int]) -> Array:
         """The states (nx) after the jump of events."""
         found = self._jump(fired, rests, at)
         x = at.x.copy()
@@ -154,12 +154,12 @@ class EventMaps:
             x[found[0].moved] += found[1]
         return x
 
-    def jump(self, fired: Sequence[int], rests: Sequence[int], at: Instant) -> JumpSlope | None:
+    def jump(self, fired: Sequence[int], rests: Sequence[int], at: EventInstant) -> JumpSlope | None:
         """Derivative of the jump of events, with the states before and the parameters after them; None: none of them moves."""
         found = self._jump(fired, rests, at)
         return None if found is None else found[0]
 
-    def _jump(self, fired: Sequence[int], rests: Sequence[int], at: Instant) -> tuple[JumpSlope, Array] | None:
+    def _jump(self, fired: Sequence[int], rests: Sequence[int], at: EventInstant) -> tuple[JumpSlope, Array] | None:
         """The same, with the jump of the states that move."""
         jump = self.plan.jump
         jumping = [] if jump is None else [i for i in fired if jump.of[i] >= 0]

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from phfmu.derivatives.apart.derived_members import by_of
 from phfmu.derivatives.apart.sensitive_members import SensitiveMembers
 from phfmu.derivatives.apart.taped_members import TapedMembers
-from phfmu.derivatives.by import By, require_known
+from phfmu.derivatives.by import IndependentVariables, require_known
 from phfmu.derivatives.measured import TIME, RunMeasure, run_measures
 from phfmu.derivatives.sensitive import SensitiveSteps
 from phfmu.derivatives.tangents import require_derived
@@ -86,7 +86,9 @@ def gradient(
     """
     wanted = run_measures(of, told_by(model, instance))
     names = (
-        by_of(instance.joined, by) if isinstance(instance, Coupled) else By.of(_model(model).declaration, by)
+        by_of(instance.joined, by)
+        if isinstance(instance, Coupled)
+        else IndependentVariables.of(_model(model).declaration, by)
     ).names
     chosen = chosen_mode(mode, instance, len(wanted), len(names))
     found = measured(stepper_of(chosen, model, instance, by, wanted, memory), options, wanted, inputs)
@@ -96,7 +98,7 @@ def gradient(
 
 
 @dataclass(frozen=True)
-class Measured:
+class MeasuredRun:
     """A run by a stepper with derivatives: times and columns of its rows that are measured."""
 
     stepper: Forward | Backwards
@@ -148,7 +150,9 @@ def stepper_of(
     return taped
 
 
-def measured(stepper: Forward | Backwards, options: Options, of: Sequence[RunMeasure], inputs: Any = None) -> Measured:
+def measured(
+    stepper: Forward | Backwards, options: Options, of: Sequence[RunMeasure], inputs: Any = None
+) -> MeasuredRun:
     """The run of a stepper that was made for these measures."""
     signals, names = _signals(of), stepper.by.names
     wanted = signals if isinstance(stepper, Backwards) else stepper.columns
@@ -157,7 +161,7 @@ def measured(stepper: Forward | Backwards, options: Options, of: Sequence[RunMea
     if not isinstance(stepper, Backwards):
         moved = [TIME] if stepper.moves else []
         along = {s: np.column_stack([found.column(derivative_name(s, n)) for n in names]) for s in moved + signals}
-    return Measured(stepper, found.time, {n: found.column(n) for n in signals}, along)
+    return MeasuredRun(stepper, found.time, {n: found.column(n) for n in signals}, along)
 
 
 def told_by(model: Model | Network, instance: Any) -> list[str]:

@@ -22,7 +22,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from phfmu.derivatives.between import Between
+from phfmu.derivatives.interpolation import LinearInterpolation
 from phfmu.sweeps.measures import NUMBERS, mean, measures
 
 Array = NDArray[np.float64]
@@ -174,7 +174,7 @@ WEIGHTS: dict[str, Callable[[Array, Array], Array]] = {
 
 
 @dataclass(frozen=True)
-class Rows:
+class Reduction:
     """`kind` of the rows of an expression."""
 
     kind: str
@@ -198,7 +198,7 @@ class Rows:
 
 
 @dataclass(frozen=True)
-class At:
+class ValueAtTime:
     """An expression at a time (s), None the end of the run."""
 
     of: Expression
@@ -213,14 +213,14 @@ class At:
 
     def value(self, t: Array, columns: Columns) -> float:
         values = self.of.over(columns)[0]
-        return float(values[-1]) if self.t is None else float(Between(t, np.array([self.t])).of(values)[0])
+        return float(values[-1]) if self.t is None else float(LinearInterpolation(t, np.array([self.t])).of(values)[0])
 
     def weights(self, t: Array, columns: Columns) -> dict[str, Array]:
         values, slopes = self.of.over(columns)
         if self.t is None:
             own, moved = _one(-1, len(t)), {}
         else:
-            between = Between(t, np.array([self.t]))
+            between = LinearInterpolation(t, np.array([self.t]))
             own, moved = between.back(np.ones(1)), {TIME: between.back(-between.slopes(values))}
         return moved | {n: own * slopes[:, i] for i, n in enumerate(self.of.signals)}
 
@@ -249,9 +249,9 @@ class SumOfSquares:
         bars = 2.0 * misfit / self.weight
         return {self.signal: between.back(bars), TIME: between.back(-bars * between.slopes(columns[self.signal]))}
 
-    def _misfit(self, t: Array, columns: Columns) -> tuple[Between, Array]:
+    def _misfit(self, t: Array, columns: Columns) -> tuple[LinearInterpolation, Array]:
         there = np.isfinite(np.asarray(self.data, float))
-        between = Between(t, np.asarray(self.times, float)[there])
+        between = LinearInterpolation(t, np.asarray(self.times, float)[there])
         return between, (between.of(columns[self.signal]) - np.asarray(self.data, float)[there]) / self.weight
 
 
@@ -269,14 +269,14 @@ def run_measures(of: Sequence[str | RunMeasure], signals: Sequence[str]) -> list
 def _parsed(text: str, signals: Sequence[str]) -> list[RunMeasure]:
     at = re.fullmatch(r"(.+)@\s*(end|[-+.\deE]+)\s*", text)
     if at is not None:
-        return [At(expression(at[1], signals), None if at[2] == "end" else float(at[2]))]
+        return [ValueAtTime(expression(at[1], signals), None if at[2] == "end" else float(at[2]))]
     form = re.fullmatch(r"\s*(\w+)\((.+)\)\s*", text)
     if form is not None and form[1] in WEIGHTS and (not set("*?") & set(form[2]) or _arithmetic(form[2], signals)):
-        return [Rows(form[1], expression(form[2], signals))]
+        return [Reduction(form[1], expression(form[2], signals))]
     own = measures([text], signals)
     if times := [m for m in own if m.kind not in WEIGHTS]:
         raise ValueError(f"{times[0]} is the time of a row, which does not move; measures: {', '.join(WEIGHTS)}")
-    return [Rows(m.kind, expression(m.signal, signals)) for m in own]
+    return [Reduction(m.kind, expression(m.signal, signals)) for m in own]
 
 
 def _arithmetic(text: str, signals: Sequence[str]) -> bool:

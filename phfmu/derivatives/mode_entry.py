@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.declare.variable import time
-from phfmu.derivatives.by import Directions
-from phfmu.derivatives.event_maps import Instant, Slope
+from phfmu.derivatives.by import TangentDirections
+from phfmu.derivatives.event_maps import EventInstant, Slope
 from phfmu.events.modes import Modes
 
 Array = NDArray[np.float64]
@@ -27,7 +27,7 @@ RANK = 1e-10
 class ModeEntry:
     """Entering the modes of a model, along `directions`."""
 
-    def __init__(self, modes: Modes, directions: Directions):
+    def __init__(self, modes: Modes, directions: TangentDirections):
         system, self._directions = modes.system, directions
         e = system.equations
         fa, g, ga, mass = e.rows[2], e.rows[3], e.rows[5], e.rows[-1]
@@ -46,8 +46,8 @@ class ModeEntry:
         self._scale = np.concatenate([system.size, system.nominal, system.nominal])
         self._size, self._nominal = system.size, system.nominal
 
-    def slope(self, before: Instant, after: Array) -> Slope:
-        """Of the states after entering, by those before it, with the parameters of the mode that is entered."""
+    def slope(self, before: EventInstant, after: Array) -> Slope:
+        """Derivatives of the states after entering by those before it, with the parameters of the mode that is entered."""
         nx, na = len(before.x), len(before.a)
         nothing = np.zeros(na)
 

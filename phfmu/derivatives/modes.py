@@ -22,7 +22,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.derivatives.tangents import By, Taken, Tangents, require_smooth
+from phfmu.derivatives.by import IndependentVariables
+from phfmu.derivatives.tangents import RunTangents, TakenSteps, require_smooth
 from phfmu.discretise.model import Model
 
 Array = NDArray[np.float64]
@@ -95,12 +96,12 @@ def step_matrix(model: Model, instance: Any, t: float, h: float, n: int = 1) -> 
     """dx/dx0 over the next n steps of `instance` (nx x nx)."""
     require_smooth(model)
     names = [name for v in model.declaration.states for name in v.names()]
-    tangents = Tangents(model, By.of(model.declaration, names))
+    tangents = RunTangents(model, IndependentVariables.of(model.declaration, names))
     tangents.S = np.eye(len(names))
     before, u = instance.x[: len(names)].copy(), np.asarray(instance.held_input, np.float64)
     r = instance.run(t, h, n, record=("signals", "unknowns", "counts"))
     starts = np.asarray(t + h * np.arange(n), np.float64)
-    tangents.over(Taken.recorded(model, instance, r, starts, h, before, u))
+    tangents.over(TakenSteps.recorded(model, instance, r, starts, h, before, u))
     return tangents.S
 
 

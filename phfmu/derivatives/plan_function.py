@@ -20,7 +20,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.derivatives.by import Directions
+from phfmu.derivatives.by import TangentDirections
 from phfmu.engine.build.machine_code import compiled
 from phfmu.plan.buffered import BufferedFunction
 from phfmu.plan.plan import Group, Plan
@@ -40,8 +40,8 @@ ALL = slice(None)
 
 
 @dataclass(frozen=True)
-class Point:
-    """Where a plan is looked at, a row a point: x (n x nx + 1), w (n x nw), u (n x k nu), p (n x np), h (n)."""
+class PlanPoint:
+    """Points at which a plan is linearised, a row each: x (n x nx + 1), w (n x nw), u (n x k nu), p (n x np), h (n)."""
 
     x: Array
     w: Array
@@ -64,7 +64,7 @@ class Response:
 
 
 class PlanFunction:
-    """F and T of a plan; `told` chooses from `Rows` what T is.
+    """F and T of a plan; `told` chooses from `PlanRows` what T is.
 
     nodes: places of inputs at single nodes (of k nu), by which there are derivatives behind those by directions;  moves: those
     by t and h come last
@@ -73,12 +73,12 @@ class PlanFunction:
     def __init__(
         self,
         plan: Plan,
-        told: Callable[[Rows], ca.SX],
-        directions: Directions,
+        told: Callable[[PlanRows], ca.SX],
+        directions: TangentDirections,
         moves: bool = False,
         nodes: Sequence[int] = (),
     ):
-        self.plan, self._rows, self._moves, self._nodes = plan, Rows(plan), moves, list(nodes)
+        self.plan, self._rows, self._moves, self._nodes = plan, PlanRows(plan), moves, list(nodes)
         self._told, self._directions = told(self._rows), directions
         self.ntold = self._told.numel()
 
@@ -88,7 +88,7 @@ class PlanFunction:
         return [r.x, r.w, r.u, r.p, r.h]
 
     @cached_property
-    def _along(self) -> Mapped:
+    def _along(self) -> PointwiseFunction:
         r, plan, d = self._rows, self.plan, self._directions
         held = [ca.vertcat(*(r.u[i * plan.nu + j] for i in range(plan.k))) for j in d.inputs]
 
@@ -100,13 +100,13 @@ class PlanFunction:
             return ca.horzcat(*columns)
 
         F, T = r.residual, self._told
-        return Mapped(self._arguments, [ca.jacobian(F, r.w), by(F), ca.jacobian(T, r.w), by(T)])
+        return PointwiseFunction(self._arguments, [ca.jacobian(F, r.w), by(F), ca.jacobian(T, r.w), by(T)])
 
     @cached_property
-    def _residual(self) -> Mapped:
-        return Mapped(self._arguments, [self._rows.residual, ca.jacobian(self._rows.residual, self._rows.w)])
+    def _residual(self) -> PointwiseFunction:
+        return PointwiseFunction(self._arguments, [self._rows.residual, ca.jacobian(self._rows.residual, self._rows.w)])
 
-    def response(self, at: Point) -> Response:
+    def response(self, at: PlanPoint) -> Response:
         """Derivatives of the solution w at each point, and of what is told of it."""
         plan, n = self.plan, len(at.h)
         width = plan.nx + self._directions.n + len(self._nodes) + 2 * self._moves
@@ -123,10 +123,10 @@ class PlanFunction:
         plan, n = self.plan, len(t)
         w = np.zeros((n, plan.nw))
         w[:, plan.mean_w] = a[:, plan.mean_a]
-        at = Point(np.column_stack([x, t]), w, u, np.broadcast_to(p, (n, plan.np)), np.ones(n))
-        return self.response(Point(at.x, self.solved(at), at.u, at.p, at.h)).told
+        at = PlanPoint(np.column_stack([x, t]), w, u, np.broadcast_to(p, (n, plan.np)), np.ones(n))
+        return self.response(PlanPoint(at.x, self.solved(at), at.u, at.p, at.h)).told
 
-    def solved(self, at: Point, most: int = 20) -> Array:
+    def solved(self, at: PlanPoint, most: int = 20) -> Array:
         """Unknowns that solve F = 0, by Newton's method from `at.w`; ValueError where it does not converge."""
         w = at.w.copy()
         if not self.plan.nw:
@@ -135,7 +135,7 @@ class PlanFunction:
         for some in _parts(len(w), max(1, ROOM // self.plan.nw**2)):
             before = np.inf
             for _ in range(most):
-                F, A = self._residual.at(Point(at.x, w, at.u, at.p, at.h).arguments, some)
+                F, A = self._residual.at(PlanPoint(at.x, w, at.u, at.p, at.h).arguments, some)
                 move = _solved(A, F.full())[:, :, 0]
                 w[some] -= move
                 size = float(np.max(np.abs(move) / np.maximum(scale, 1e-300), initial=0.0))
@@ -147,7 +147,7 @@ class PlanFunction:
         return w
 
 
-class Rows:
+class PlanRows:
     """The residual of a plan and what is told beside it, in symbols x, w, u, p and h."""
 
     def __init__(self, plan: Plan):
@@ -262,7 +262,7 @@ def _total(n: int, parts: Sequence[tuple[int, ca.SX]]) -> ca.SX:
 
 
 @dataclass(frozen=True)
-class Matrices:
+class SparseMatrices:
     """A sparse matrix at each of n points: entries (n x nnz)."""
 
     shape: tuple[int, int]
@@ -285,7 +285,7 @@ class Matrices:
         return found
 
 
-class Mapped:
+class PointwiseFunction:
     """Expressions of some arguments, at many points."""
 
     def __init__(self, arguments: list[ca.SX], results: list[ca.SX]):
@@ -293,7 +293,7 @@ class Mapped:
         self._buffers: dict[int, BufferedFunction] = {}
         self._points, self._worth = 0, self._function.n_instructions() >= LONG
 
-    def at(self, given: Sequence[Array], some: slice = ALL) -> list[Matrices]:
+    def at(self, given: Sequence[Array], some: slice = ALL) -> list[SparseMatrices]:
         """The results at some of the points, of which `given` has the arguments (n x entries)."""
         given = [values[some] for values in given]
         self._points += len(given[0])
@@ -315,7 +315,7 @@ class Mapped:
         for i, values in enumerate(found):
             sparsity = f.sparsity_out(i)
             row, col = (np.array(t, np.intp) for t in sparsity.get_triplet())
-            matrices.append(Matrices(sparsity.shape, row, col, values))
+            matrices.append(SparseMatrices(sparsity.shape, row, col, values))
         return matrices
 
     def _buffer(self, n: int) -> BufferedFunction:
@@ -331,7 +331,7 @@ def _parts(n: int, most: int) -> list[slice]:
     return [slice(i, min(i + most, n)) for i in range(0, n, most)]
 
 
-def _solved(A: Matrices, b: Array) -> Array:
+def _solved(A: SparseMatrices, b: Array) -> Array:
     """A^-1 b at each point, rows scaled, with one step of refinement."""
     if not A.shape[0] or not b.shape[2]:
         return np.zeros_like(b)
@@ -348,7 +348,7 @@ def _solved(A: Matrices, b: Array) -> Array:
     return found + np.linalg.solve(full, b - np.matmul(full, found))
 
 
-def _solved_sparse(A: Matrices, values: Array, b: Array) -> Array:
+def _solved_sparse(A: SparseMatrices, values: Array, b: Array) -> Array:
     from scipy.sparse import csc_matrix
     from scipy.sparse.linalg import splu
 

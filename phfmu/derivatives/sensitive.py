@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.derivatives.derived import DerivedSteps, LandedSteps
-from phfmu.derivatives.event_maps import Instant
+from phfmu.derivatives.event_maps import EventInstant
 from phfmu.derivatives.measured import TIME
-from phfmu.derivatives.tangents import Taken, Tangents, in_parts, of_quantities
+from phfmu.derivatives.tangents import RunTangents, TakenSteps, in_parts, of_quantities
 from phfmu.discretise.model import Model
 from phfmu.outcome.steps import StepEvent, Steps
 from phfmu.signals import Quantity, SignalKind, derivative_name, quantities
@@ -31,7 +31,7 @@ class SensitiveSteps(DerivedSteps):
         super().__init__(model, instance, by)
         known = {q.name: q for q in quantities(model)}
         self.derived: list[Quantity] = [known[n] for n in self.names if signals is None or n in signals]
-        self._tangents = Tangents(model, self.by, {q.block for q in self.derived})
+        self._tangents = RunTangents(model, self.by, {q.block for q in self.derived})
         #: the times of rows move at state events
         self._times = [] if model.events is None else [derivative_name(TIME, n) for n in self.by.names]
         own = [derivative_name(q.name, n) for q in self.derived for n in self.by.names]
@@ -118,7 +118,7 @@ class SensitiveSteps(DerivedSteps):
         """The record of steps from the times t, with the derivatives of their rows; `u`: inputs that are held throughout."""
         assert self._last is not None
         model = self.model_of(instance)
-        steps = Taken.recorded(model, instance, r, t, h, self._last, u if inputs is None else np.asarray(inputs))
+        steps = TakenSteps.recorded(model, instance, r, t, h, self._last, u if inputs is None else np.asarray(inputs))
         if self.model.events is None:
             self._tangents.enter(model, None)
         rows = self._derived(self._tangents.over(steps))
@@ -141,19 +141,19 @@ class SensitiveSteps(DerivedSteps):
             cuts = np.cumsum([2 + nx, model.step.nw])
             _, w, u = np.split(found.rows, cuts, axis=1)
             before = np.vstack([x[None], ends[:-1]])
-            taken = Taken(part.t, part.h, before, ends, w, u, found.p, a_end)
+            taken = TakenSteps(part.t, part.h, before, ends, w, u, found.p, a_end)
             rows = self._derived(self._tangents.over(taken, () if e is None else e.events, self._grid[0].h))
             self._row, x, a = rows[-1], ends[-1], a_end[-1]
             steps = replace(steps, signals=np.hstack([steps.signals, rows]))
         if e is not None and row is not None:
             x_after, a_after = e.signals[layout["x"]], e.signals[layout["a_end"]]
-            old = Instant(e.t, x, a, found.u, found.after)
+            old = EventInstant(e.t, x, a, found.u, found.after)
             self._tangents.jump(old, e.events, e.rests)
             if self.entry is not None and found.entered is not None:
                 jumped = self.maps_in(found.mode).jumped(old, e.events, e.rests)
                 self._tangents.entered(self.entry.slope(replace(old, x=jumped), x_after))
                 self._tangents.enter(self.model_in(found.entered), self.maps_in(found.entered))
-            self._row = self._derived(self._tangents.at(Instant(e.t, x_after, a_after, found.u, found.after)))[0]
+            self._row = self._derived(self._tangents.at(EventInstant(e.t, x_after, a_after, found.u, found.after)))[0]
             row = row[0], np.concatenate([row[1], self._row])
         return steps, row
 

@@ -1,4 +1,4 @@
-"""Where steps stay: the steady state of a scheme, which an operating point of the equations is a power of the step away from.
+"""Steady state of a scheme, which an operating point of the equations is a power of the step away from.
 
 Steps of a balanced network turn with it, Phi_h(X(a) x) = X(a) Phi_h(x), since its energies do.  So they have a steady state of
 their own, which one step turns by w h and leaves as it is,
@@ -48,10 +48,12 @@ def steady_steps(point: NetworkPoint, scheme: Scheme, step: float) -> NetworkPoi
     """
     model = build_model(point.started().compose(), scheme)
     require_derived(model)
-    return _Steady(point, model, step).found()
+    return _SteadyIteration(point, model, step).found()
 
 
-class _Steady:
+class _SteadyIteration:
+    """Newton's iteration for the steady state of steps of a scheme, from an operating point."""
+
     def __init__(self, point: NetworkPoint, model: Model, step: float):
         self.point, self.model, self.h = point, model, step
         d, plan = model.declaration, model.step

@@ -24,9 +24,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.derivatives.by import By, start_tangents_by
-from phfmu.derivatives.event_maps import EventMaps, Instant, Slope
-from phfmu.derivatives.plan_function import PlanFunction, Point, Rows
+from phfmu.derivatives.by import IndependentVariables, start_tangents_by
+from phfmu.derivatives.event_maps import EventInstant, EventMaps, Slope
+from phfmu.derivatives.plan_function import PlanFunction, PlanPoint, PlanRows
 from phfmu.discretise.model import Model
 from phfmu.plan.plan import Plan
 from phfmu.signals import Quantity
@@ -35,7 +35,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Taken:
+class TakenSteps:
     """Steps that were taken: start times (n) and lengths (n), states before (n x nx) and after, unknowns, inputs (n x k nu),
     parameters, algebraic variables at their ends (n x na)."""
 
@@ -51,7 +51,7 @@ class Taken:
     @staticmethod
     def recorded(
         model: Model, instance: Any, r: dict[str, Array], t: Array, h: float, before: Array, u: Array
-    ) -> Taken:
+    ) -> TakenSteps:
         """Steps from the times t and the state `before` under inputs u (nu held, n x nu, or n x k x nu), of which `instance` has
         recorded signals, unknowns and counts.  ValueError for one that was taken in parts.
         """
@@ -62,7 +62,7 @@ class Taken:
         given = np.broadcast_to(u, (n, model.step.nu)) if u.ndim == 1 else u
         given = np.repeat(given[:, None], model.step.k, axis=1) if given.ndim == 2 else given
         states = np.vstack([before[None], x[:-1]])
-        return Taken(
+        return TakenSteps(
             t, np.full(n, h), states, x, r["unknowns"], given.reshape(n, -1), instance.parameters.copy(), a_end
         )
 
@@ -81,13 +81,13 @@ def in_parts(model: Model, t: float, h: float) -> ValueError:
 
 
 #: what is told of a step and at an instant, by the block of a row, each one after the other
-TOLD_OF_STEP: dict[str, Callable[[Rows], ca.SX]] = {
+TOLD_OF_STEP: dict[str, Callable[[PlanRows], ca.SX]] = {
     "a": lambda rows: rows.algebraics,
     "y_step": lambda rows: rows.outputs,
     "energy": lambda rows: rows.work,
     "dissipated": lambda rows: rows.h * rows.energies(1),
 }
-TOLD_OF_INSTANT: dict[str, Callable[[Rows], ca.SX]] = {
+TOLD_OF_INSTANT: dict[str, Callable[[PlanRows], ca.SX]] = {
     "a_end": lambda rows: rows.algebraics,
     "y_end": lambda rows: rows.outputs,
     "observables": lambda rows: rows.reported,
@@ -100,13 +100,13 @@ OF_STEP, OF_INSTANT = tuple(TOLD_OF_STEP), tuple(TOLD_OF_INSTANT)
 NEEDED = {"a": {"a", "a_end"}, "y_step": {"y_step", "y_end"}, "supplied": {"energy"}}
 
 
-class Tangents:
+class RunTangents:
     """The tangents of a run of `model`, from its start on; ValueError names what has none.
 
     `blocks`: the blocks of rows whose derivatives are told beside those of the states; default: all
     """
 
-    def __init__(self, model: Model, by: By, blocks: Iterable[str] | None = None):
+    def __init__(self, model: Model, by: IndependentVariables, blocks: Iterable[str] | None = None):
         require_derived(model)
         self.model, self.by = model, by
         self._plans: dict[int, tuple[PlanFunction, PlanFunction]] = {}
@@ -175,7 +175,7 @@ class Tangents:
         blocks |= {of: found[at] for of, at in (("a", "a_end"), ("y_step", "y_end")) if at in found}
         return with_sums(self.model.step, blocks, {n: s[None] for n, s in self._sums.items()})
 
-    def jump(self, before: Instant, fired: Sequence[int], rests: Sequence[int]) -> None:
+    def jump(self, before: EventInstant, fired: Sequence[int], rests: Sequence[int]) -> None:
         """The states jump at events, of which some come to rest: the states `before` them with the parameters after them."""
         assert self.events is not None
         jump = self.events.jump(fired, rests, before)
@@ -187,11 +187,11 @@ class Tangents:
         """The states go onto the constraints of a mode."""
         self.S = entry.x @ self.S + np.outer(entry.t, self.T) + self.by.spread(entry.along) * self._acts
 
-    def at(self, i: Instant) -> dict[str, Array]:
+    def at(self, i: EventInstant) -> dict[str, Array]:
         """Blocks of the row after an event."""
         return self._at_once(i.t, i.x, i.u, i.p, i.a)
 
-    def over(self, steps: Taken, landed: Sequence[int] = (), grid: float = 0.0) -> dict[str, Array]:
+    def over(self, steps: TakenSteps, landed: Sequence[int] = (), grid: float = 0.0) -> dict[str, Array]:
         """Blocks of the rows at the ends of steps that go on from those before: name -> (n x entries x names).
 
         landed: guards that are zero at the end of the last one;  grid: length of the steps that do not end on events
@@ -199,7 +199,7 @@ class Tangents:
         model, n, nx = self.model, len(steps.t), self.model.step.nx
         x, ahead = np.column_stack([steps.before, steps.t]), nx + self.by.directions.n
         p = np.broadcast_to(steps.p, (n, len(steps.p)))
-        found = self._step.response(Point(x, steps.w, steps.u, p, steps.h))
+        found = self._step.response(PlanPoint(x, steps.w, steps.u, p, steps.h))
         own = self.by.spread(found.w[:, :, nx:ahead]) * self._acts
         told = self.by.spread(found.told[:, :, nx:ahead]) * self._acts
         if self.T.any():  # the first one begins at an instant that moves, and ends at one that does not
@@ -228,13 +228,13 @@ class Tangents:
             self._sums[name] = sums[name][-1]
         return with_sums(self.model.step, blocks, sums)
 
-    def _landed(self, guards: Sequence[int], steps: Taken, grid: float, S: Array, rate: Array) -> Array:
+    def _landed(self, guards: Sequence[int], steps: TakenSteps, grid: float, S: Array, rate: Array) -> Array:
         """Tangent (names) of the end of the last step, where guards are zero: tangents of the states for a given length, and
         their rates by it.  NoDerivative."""
         assert self.events is not None
         t, h = float(steps.t[-1]), float(steps.h[-1])
         nu = self.model.step.nu  # inputs are held
-        at = Instant(t + h, steps.after[-1], steps.a_end[-1], steps.u[-1, steps.u.shape[1] - nu :], steps.p)
+        at = EventInstant(t + h, steps.after[-1], steps.a_end[-1], steps.u[-1, steps.u.shape[1] - nu :], steps.p)
         found = []
         for i in guards:
             g = self.events.guard(i, at)
@@ -268,7 +268,7 @@ def with_sums(plan: Plan, blocks: dict[str, Array], sums: dict[str, Array]) -> d
     return blocks | sums | {"supplied": supplied} | nothing
 
 
-def of_quantities(quantities: Sequence[Quantity], blocks: dict[str, Array], by: By) -> Array:
+def of_quantities(quantities: Sequence[Quantity], blocks: dict[str, Array], by: IndependentVariables) -> Array:
     """Derivatives of quantities (n x quantities x names) from those of the blocks."""
     n, width = len(blocks["x"]), len(by.names)
     found = np.zeros((n, len(quantities), width))
@@ -335,22 +335,22 @@ def _followed(S: Array, A: Array, B: Array) -> Array:
     return found
 
 
-def _told(what: Mapping[str, Callable[[Rows], ca.SX]], rows: Rows) -> ca.SX:
+def _told(what: Mapping[str, Callable[[PlanRows], ca.SX]], rows: PlanRows) -> ca.SX:
     return ca.vertcat(ca.SX(0, 1), *(told(rows) for told in what.values()))
 
 
-def told_of_step(rows: Rows) -> ca.SX:
+def told_of_step(rows: PlanRows) -> ca.SX:
     """All blocks that are told of a step."""
     return _told(TOLD_OF_STEP, rows)
 
 
-def told_of_instant(rows: Rows) -> ca.SX:
+def told_of_instant(rows: PlanRows) -> ca.SX:
     """All blocks that are told at an instant."""
     return _told(TOLD_OF_INSTANT, rows)
 
 
 def places(names: Sequence[str], sizes: Sequence[int]) -> dict[str, slice]:
-    """Where blocks of these sizes are, one after the other."""
+    """Slices of blocks of these sizes, one after the other."""
     found, start = {}, 0
     for name, size in zip(names, sizes, strict=True):
         found[name] = slice(start, start + size)

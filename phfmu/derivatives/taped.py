@@ -1,8 +1,8 @@
 """A run that is kept to go back over: the tape of its steps, or the states to take them again from.
 
-Every call of compiled code (`Call`) keeps the state at its start; within the memory that is allowed its stretches of steps
-(`Leg`), which end where state events happen, keep their tapes too, those of the last calls first.  Calls without them are made
-again when the way back comes to them: the same steps, to the bit.
+Every call of compiled code (`CompiledCall`) keeps the state at its start; within the memory that is allowed its stretches of
+steps (`Leg`), which end where state events happen, keep their tapes too, those of the last calls first.  Calls without them are
+made again when the way back comes to them: the same steps, to the bit.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.derivatives.backwards.legs import Call, Kept, Leg, Occurrence
+from phfmu.derivatives.backwards.legs import CompiledCall, Leg, Occurrence, TapeSegment
+from phfmu.derivatives.backwards.reverse_sweep import ReverseSweep
 from phfmu.derivatives.backwards.run_bars import RunBars
-from phfmu.derivatives.backwards.way_back import WayBack
 from phfmu.derivatives.by import start_tangents_by
 from phfmu.derivatives.derived import ROOM, DerivedSteps, LandedSteps, span
-from phfmu.derivatives.event_maps import Instant
+from phfmu.derivatives.event_maps import EventInstant
 from phfmu.derivatives.measured import TIME
 from phfmu.derivatives.tangents import OF_INSTANT
 from phfmu.discretise.model import Model
@@ -47,13 +47,13 @@ class TapedSteps(DerivedSteps):
         #: stretches that had to be run again on the way back
         self.again = 0
         self.legs: list[Leg] = []
-        self.calls: list[Call] = []
+        self.calls: list[CompiledCall] = []
         self._moving = False
         self._quantities = {q.name: q for q in quantities(model)}
         self._instants = False
 
     def needs(self, signals: Sequence[str]) -> None:
-        """What will be measured."""
+        """Choose what is taped by the signals that will be measured."""
         self._instants = any(self._quantities[n].block in OF_INSTANT for n in signals)
 
     def forget(self) -> None:
@@ -73,7 +73,7 @@ class TapedSteps(DerivedSteps):
     def ran(self, instance: Any, t0: float, h: float, n: int, first: int, inputs: Array | None) -> Steps:
         self.require_continued(t0 + first * h)
         given = None if inputs is None else np.ascontiguousarray(inputs, float)
-        call = self._called(Call(instance.get_state(), Grid(t0, h, n, first), given, None))
+        call = self._called(CompiledCall(instance.get_state(), Grid(t0, h, n, first), given, None))
         starts = np.asarray(t0 + h * (first + np.arange(n)), np.float64)
         leg = self._leg(call, starts, np.full(n, h), self._inputs.u.copy(), instance.parameters.copy())
         leg.damped = None if instance is self.instance else instance
@@ -89,11 +89,11 @@ class TapedSteps(DerivedSteps):
         legs, calls, self._last = kept
         self.legs, self.calls = list(legs), list(calls)
 
-    def _called(self, call: Call) -> Call:
+    def _called(self, call: CompiledCall) -> CompiledCall:
         self.calls.append(call)
         return call
 
-    def _leg(self, call: Call, starts: Array, sizes: Array, u: Array, p: Array) -> Leg:
+    def _leg(self, call: CompiledCall, starts: Array, sizes: Array, u: Array, p: Array) -> Leg:
         """The next leg of the run."""
         row = self.legs[-1].first_row + self.legs[-1].rows if self.legs else 1
         leg = Leg(starts, sizes, call.inputs, u, p, row, call, moves=self._moving)
@@ -105,7 +105,7 @@ class TapedSteps(DerivedSteps):
 
     def landings(self, instance: Any, before: Array, parts: Iterable[Landed]) -> Iterator[Landing]:
         grid, changed = self._grid
-        self._called(Call(instance.get_state(), grid, None, changed))
+        self._called(CompiledCall(instance.get_state(), grid, None, changed))
         yield from super().landings(instance, before, parts)
         self._forget()
 
@@ -119,15 +119,17 @@ class TapedSteps(DerivedSteps):
         if len(part.t):
             leg.end, a = (part.rows["signals"][:, layout[block]].copy() for block in ("x", "a_end"))
             leg.end = leg.end[-1]
-        leg.kept = Kept(found.rows, a)
+        leg.kept = TapeSegment(found.rows, a)
         if e is not None:
-            there = Instant(e.t, e.signals[layout["x"]].copy(), e.signals[layout["a_end"]].copy(), found.u, found.after)
+            there = EventInstant(
+                e.t, e.signals[layout["x"]].copy(), e.signals[layout["a_end"]].copy(), found.u, found.after
+            )
             before = a[-1] if len(a) else there.a
             leg.occurrence = Occurrence(e.t, e.events, e.rests, there, before, found.entered)
             self._moving = leg.moves or len(part.t) > 0
         return steps, row
 
-    def take_again(self, call: Call, instants: bool = False) -> None:
+    def take_again(self, call: CompiledCall, instants: bool = False) -> None:
         """The parts of the steps of a call once more; with `instants` values at the ends of its steps too."""
         self.again += 1
         instance = self.instance if call.legs[0].damped is None else call.legs[0].damped
@@ -140,9 +142,9 @@ class TapedSteps(DerivedSteps):
         with NativeTapes(instance, g.n + ROOM) as tapes:
             for leg, part in zip(call.legs, parts, strict=True):
                 a = part.rows["signals"][:, instance.layout["a_end"]].copy() if leg.n else np.zeros((0, 0))
-                leg.kept = Kept(tapes.of(leg.mode).taken(*span(part.t, part.h)), a)
+                leg.kept = TapeSegment(tapes.of(leg.mode).taken(*span(part.t, part.h)), a)
 
-    def _take(self, call: Call, wanted: tuple[str, ...]) -> tuple[dict[str, Array], Kept]:
+    def _take(self, call: CompiledCall, wanted: tuple[str, ...]) -> tuple[dict[str, Array], TapeSegment]:
         """The steps of a call without events, from its state on."""
         damped, grid = call.legs[0].damped, call.grid
         instance = self.instance if damped is None else damped
@@ -155,7 +157,7 @@ class TapedSteps(DerivedSteps):
             room *= 2
             instance.set_state(call.state)
         a = record["signals"][:, instance.layout["a_end"]].copy() if self._instants and "signals" in record else None
-        return record, Kept(tape.rows, a)
+        return record, TapeSegment(tape.rows, a)
 
     def _forget(self) -> None:
         """Within the memory: tapes of the first calls go."""
@@ -181,7 +183,7 @@ class TapedSteps(DerivedSteps):
         total = len(weights) + sum(len(leg.occurrence.fired) for leg in landed if leg.occurrence is not None)
         end = self.instance.get_state()
         last = self.legs[-1].entered if self.legs else self._start_mode
-        way = WayBack(self, bars, total, last, self.take_again)
+        way = ReverseSweep(self, bars, total, last, self.take_again)
         for leg in reversed(self.legs):
             self._cut(leg, way.back)
             way.over(leg)
@@ -206,7 +208,7 @@ class TapedSteps(DerivedSteps):
         return [leg for leg in self.legs if leg.n and leg.occurrence is not None and len(leg.occurrence.fired) > 1]
 
     def _cut(self, leg: Leg, back: NativeReverse) -> None:
-        """What follows from a value set after a leg does not follow from that at the start."""
+        """Zero the bars of values that were set after a leg, since they do not follow those at the start."""
         d, names = self.by.directions, self.by.names
         gone = {n for name in leg.cuts for n in self.by.among(name)}
         kinds = [(back.bars.p, i) for i in d.parameters] + [(back.bars.u, i) for i in d.inputs]

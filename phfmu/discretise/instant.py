@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from phfmu.declare.error import DeclarationError
-from phfmu.declare.variable import Value
+from phfmu.declare.variable import ValueKind
 from phfmu.discretise.instant_kernels import RATE, InstantKernels
 from phfmu.plan.layout import Layout
 from phfmu.plan.plan import Plan
@@ -91,6 +91,6 @@ def _rate(layout: Layout, value: ValueAt) -> int | None:
     variable = variable_at(value, layout.terms.bound)
     if variable is not None:
         return layout.at(RATE, variable)
-    if value.kind is Value.COSTATE:
+    if value.kind is ValueKind.COSTATE:
         return layout.costate_rate(value.index)
     return layout.nv + layout.source_rate_slot(value.index) if value.index in layout.sources else None

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from phfmu.declare.variable import Value
+from phfmu.declare.variable import ValueKind
 from phfmu.plan.address import READ, Address, costate, costate_row, gradient, increment, row, source
 from phfmu.plan.layout import Layout
 from phfmu.plan.spec import Arguments, Result, Spec
@@ -26,24 +26,24 @@ RATE = Role("rate of an algebraic variable")
 
 def algebraic_rate(layout: Layout, term: Term, j: int, node: int) -> int:
     """The rate of the j-th algebraic variable that the term reads."""
-    return layout.at(RATE, term.index[Value.ALGEBRAIC][j], node)
+    return layout.at(RATE, term.index[ValueKind.ALGEBRAIC][j], node)
 
 
 def input_rate(layout: Layout, term: Term, j: int, node: int) -> int:
     """The rate of the algebraic variable that feeds the j-th input that the term reads."""
-    return layout.at(RATE, layout.terms.bound[term.index[Value.INPUT][j]], node)
+    return layout.at(RATE, layout.terms.bound[term.index[ValueKind.INPUT][j]], node)
 
 
 def costate_rate(layout: Layout, term: Term, j: int, node: int) -> int:
     """The rate of the j-th costate that the term reads."""
     del node
-    return layout.costate_rate(term.index[Value.COSTATE][j])
+    return layout.costate_rate(term.index[ValueKind.COSTATE][j])
 
 
 def velocity_costate_rate(layout: Layout, term: Term, j: int, node: int) -> int:
     """The rate of the costate of the velocity that belongs to the term's j-th position."""
     del node
-    return layout.costate_rate(velocity_of(layout.terms)[term.index[Value.STATE][j]])
+    return layout.costate_rate(velocity_of(layout.terms)[term.index[ValueKind.STATE][j]])
 
 
 def gradient_rate(layout: Layout, term: Term, j: int, node: int) -> int:
@@ -97,7 +97,7 @@ class InstantKernels:
         return build(term)
 
     def _energy(self, term: Term) -> list[Spec]:
-        args, x = Arguments(term, 1), term.local[Value.STATE]
+        args, x = Arguments(term, 1), term.local[ValueKind.STATE]
         w = term.data["z"] if "z" in term.data else ca.gradient(term.data["H"], x) * term.data["scale"]
         return [self._costates(args, x, w, term.data["H"])]
 
@@ -110,7 +110,7 @@ class InstantKernels:
         return Spec(0, args.x, args.p, args.y, out, stored=h)
 
     def _closed(self, term: Term) -> list[Spec]:
-        args, x = Arguments(term, 1), term.local[Value.STATE]
+        args, x = Arguments(term, 1), term.local[ValueKind.STATE]
         specs = [self._costates(args, x, term.data["z"], term.data["H"])]
         if self.rate:
             args = Arguments(term, 1)
@@ -133,7 +133,7 @@ class InstantKernels:
 
     def _source(self, term: Term) -> list[Spec]:
         args, s = Arguments(term, 1), term.data["s"]
-        rate = ca.gradient(s, term.local[Value.TIME]) if Value.TIME in term.local else ca.SX(0)
+        rate = ca.gradient(s, term.local[ValueKind.TIME]) if ValueKind.TIME in term.local else ca.SX(0)
         out: list[Result] = [(Address(source), 0, s)]
         if self.rate:
             out.append((Address(source_rate), 0, rate))
@@ -161,13 +161,13 @@ class InstantKernels:
         """df/dt along x1', the costate rates and the rates of algebraic variables; held inputs have none."""
         local, f = term.local, term.data["f"]
         drift = ca.SX(f.numel(), 1)
-        if Value.STATE in local:
-            drift += ca.jtimes(f, local[Value.STATE], args.matrix(increment, local[Value.STATE].numel()))
-        if Value.COSTATE in local:
-            drift += ca.jtimes(f, local[Value.COSTATE], args.matrix(costate_rate, local[Value.COSTATE].numel()))
-        if Value.TIME in local:
-            drift += ca.jacobian(f, local[Value.TIME])
-        place = {Value.ALGEBRAIC: algebraic_rate, Value.INPUT: input_rate}
+        if ValueKind.STATE in local:
+            drift += ca.jtimes(f, local[ValueKind.STATE], args.matrix(increment, local[ValueKind.STATE].numel()))
+        if ValueKind.COSTATE in local:
+            drift += ca.jtimes(f, local[ValueKind.COSTATE], args.matrix(costate_rate, local[ValueKind.COSTATE].numel()))
+        if ValueKind.TIME in local:
+            drift += ca.jacobian(f, local[ValueKind.TIME])
+        place = {ValueKind.ALGEBRAIC: algebraic_rate, ValueKind.INPUT: input_rate}
         for at in rates(term, chosen, self.bound):
             drift += ca.jacobian(f, local[at.kind][at.index]) * args.symbol(place[at.kind], at.index)
         return drift
@@ -183,11 +183,11 @@ class InstantKernels:
         return [Spec(1, args.x, args.p, args.y, [(Address(row, j), 0, f[j]) for j in range(f.numel())])]
 
     def _constraint(self, term: Term) -> list[Spec]:
-        args, q, g = Arguments(term, 1), term.local[Value.STATE], term.data["g"]
+        args, q, g = Arguments(term, 1), term.local[ValueKind.STATE], term.data["g"]
         n = q.numel()
         z, dz = args.matrix(velocity_costate, n), args.matrix(velocity_costate_rate, n)
         lam, r = args.matrix(force, 1), args.matrix(increment, n)
-        grad, t = ca.gradient(g, q), term.local.get(Value.TIME)
+        grad, t = ca.gradient(g, q), term.local.get(ValueKind.TIME)
         moving = ca.SX(0) if t is None else ca.gradient(g, t)
         speed = ca.dot(grad, z) + moving
         rate = ca.dot(grad, dz) + ca.dot(ca.gradient(speed, q), r)

@@ -27,11 +27,11 @@ def casadi_function(of: Differentiable | StepFunction, free: Sequence[str] | Non
         given = [symbols.get(b.name, ca.MX(ca.DM(v))) for b, v in zip(of.inputs, of.start, strict=True)]
         results = of.function.call(given)
     else:
-        results = _Called(own).call(list(symbols.values()))
+        results = _Values(own).call(list(symbols.values()))
     return ca.Function(plain(of.name), list(symbols.values()), results, chosen, [b.name for b in of.outputs])
 
 
-class _Called(ca.Callback):
+class _Values(ca.Callback):
     """Values of a function of arrays; its derivatives are called as well."""
 
     def __init__(self, of: Differentiable):
@@ -71,7 +71,7 @@ class _Called(ca.Callback):
 class _Product(ca.Callback):
     """J times n seeds (forward), or J^T times n (back): of (arguments, results, seeds)."""
 
-    def __init__(self, whole: _Called, of: Differentiable, n: int, name: str, back: bool):
+    def __init__(self, whole: _Values, of: Differentiable, n: int, name: str, back: bool):
         ca.Callback.__init__(self)
         self._of, self._n, self._back = of, n, back
         given, found = [b.n for b in of.inputs], [b.n for b in of.outputs]

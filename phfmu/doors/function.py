@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Block:
+class ArgumentBlock:
     """An argument or result: its name, and a name for each entry."""
 
     name: str
@@ -41,13 +41,13 @@ class Differentiable(Protocol):
 
     @property
     def name(self) -> str:
-        """Of the model."""
+        """Name of the model."""
         ...
 
     @property
-    def inputs(self) -> tuple[Block, ...]: ...
+    def inputs(self) -> tuple[ArgumentBlock, ...]: ...
     @property
-    def outputs(self) -> tuple[Block, ...]: ...
+    def outputs(self) -> tuple[ArgumentBlock, ...]: ...
     @property
     def start(self) -> tuple[Array, ...]:
         """Arguments as the model declares them."""
@@ -59,7 +59,7 @@ class Differentiable(Protocol):
 
 
 @dataclass(frozen=True)
-class Restricted:
+class RestrictedFunction:
     """A function of some of the arguments of another one; the rest are what its model declares."""
 
     of: Differentiable
@@ -70,11 +70,11 @@ class Restricted:
         return self.of.name
 
     @property
-    def inputs(self) -> tuple[Block, ...]:
+    def inputs(self) -> tuple[ArgumentBlock, ...]:
         return tuple(self.of.inputs[i] for i in self.places)
 
     @property
-    def outputs(self) -> tuple[Block, ...]:
+    def outputs(self) -> tuple[ArgumentBlock, ...]:
         return self.of.outputs
 
     @property
@@ -106,7 +106,7 @@ def restricted(of: Differentiable, free: Sequence[str] | None) -> Differentiable
     names = [b.name for b in of.inputs]
     if lost := [n for n in free if n not in names]:
         raise KeyError(f"{of.name}: no argument '{lost[0]}'; there are: {', '.join(names)}")
-    return Restricted(of, tuple(names.index(n) for n in free))
+    return RestrictedFunction(of, tuple(names.index(n) for n in free))
 
 
 def _few(names: Sequence[str]) -> str:

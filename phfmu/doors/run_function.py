@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from phfmu.derivatives.gradient import Backwards, Measured, Mode, chosen_mode, measured, stepper_of, told_by
+from phfmu.derivatives.gradient import Backwards, MeasuredRun, Mode, chosen_mode, measured, stepper_of, told_by
 from phfmu.derivatives.measured import RunMeasure, run_measures
 from phfmu.derivatives.taped import MEMORY
 from phfmu.discretise.model import Model
-from phfmu.doors.function import Block
+from phfmu.doors.function import ArgumentBlock
 from phfmu.network.network import Network
 from phfmu.runs.options import Options
 
@@ -60,11 +60,11 @@ class RunFunction:
                     f"{model.name}: the event {e.name} = {e.value:g} at t = {e.t:g} s sets {clash[0]}, which is an argument; "
                     "leave the event out, or the name"
                 )
-        self.inputs = (Block("theta", own.names),)
-        self.outputs = (Block("y", tuple(map(str, self._of))),)
+        self.inputs = (ArgumentBlock("theta", own.names),)
+        self.outputs = (ArgumentBlock("y", tuple(map(str, self._of))),)
         known = self._stepper.known.start | self._stepper.inputs()
         self.start = (np.array([known[n] for n in own.names], float),)
-        self._at: tuple[bytes, Measured] | None = None
+        self._at: tuple[bytes, MeasuredRun] | None = None
         self._slopes: tuple[bytes, Array] | None = None
 
     def __call__(self, theta: ArrayLike) -> Array:
@@ -102,7 +102,7 @@ class RunFunction:
     def _key(self, theta: ArrayLike) -> bytes:
         return self.inputs[0].of(theta).tobytes()
 
-    def _run(self, theta: ArrayLike) -> Measured:
+    def _run(self, theta: ArrayLike) -> MeasuredRun:
         values = self.inputs[0].of(theta)
         key = values.tobytes()
         if self._at is None or self._at[0] != key:

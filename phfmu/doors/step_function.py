@@ -21,10 +21,10 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from phfmu.derivatives.plan_function import Rows
+from phfmu.derivatives.plan_function import PlanRows
 from phfmu.derivatives.tangents import require_smooth
 from phfmu.discretise.model import Model
-from phfmu.doors.function import Block
+from phfmu.doors.function import ArgumentBlock
 from phfmu.engine.native.native import NativeInstance
 from phfmu.engine.reference.python import PythonInstance
 from phfmu.outcome.status import NoDerivative, StepFailure
@@ -64,9 +64,9 @@ class StepFunction:
         self.places = [j for j, (_, free) in enumerate(taken) if free]
         outputs = [o for p in d.ports if p.external for o in p.output_names()]
         x, p = ([s for v in some for s in v.names()] for some in (d.states, d.parameters))
-        self.inputs = tuple(Block(k, tuple(v)) for k, v in {"x": x, "u": inputs, "p": p, "t": ["time"]}.items())
+        self.inputs = tuple(ArgumentBlock(k, tuple(v)) for k, v in {"x": x, "u": inputs, "p": p, "t": ["time"]}.items())
         told = {"x1": x, "y": outputs, "dissipated": ["energy.dissipated"]}
-        self.outputs = tuple(Block(k, tuple(v)) for k, v in told.items())
+        self.outputs = tuple(ArgumentBlock(k, tuple(v)) for k, v in told.items())
         self.start = model.x0.copy(), model.u0[self.places], model.p0.copy(), np.array([model.t0])
         #: what CasADi takes
         self._unknowns = _Unknowns(self, instance)
@@ -102,7 +102,7 @@ class StepFunction:
     def _given(self, arguments: Sequence[ArrayLike]) -> list[Array]:
         return [b.of(v) for b, v in zip(self.inputs, arguments, strict=True)]
 
-    def _derived(self, function: ca.Function, of: Sequence[Block], given: Sequence[Array]) -> tuple[Array, ...]:
+    def _derived(self, function: ca.Function, of: Sequence[ArgumentBlock], given: Sequence[Array]) -> tuple[Array, ...]:
         """The same of derivatives; ValueError where some are not finite."""
         found = self._called(function, given)
         for block, values in zip(of, found, strict=True):
@@ -133,7 +133,7 @@ class _Unknowns(ca.Callback):
         self.failure: Exception | None = None
         instance.reset()
         self._begin = instance.get_state()
-        rows, plan = Rows(step.model.step), step.model.step
+        rows, plan = PlanRows(step.model.step), step.model.step
         self._sizes = [b.n for b in step.inputs]
         at = [ca.SX.sym(b.name, b.n) for b in step.inputs]
         u = ca.SX(plan.nu, 1)
@@ -224,7 +224,7 @@ class _Unknowns(ca.Callback):
 
 
 def _scales(A: ca.Function, step: StepFunction, nominal: Array) -> tuple[ca.DM, ca.DM]:
-    """Of the rows (nw) and columns (nw) of A: unknowns in their nominal values, the largest entry of each row at the start 1."""
+    """Scales of rows (nw) and columns (nw) of A: unknowns in nominal values, the largest entry of each row at the start 1."""
     columns = np.where(nominal > 0, nominal, 1.0)
     entries = np.abs(np.array(ca.DM(A(*step.start, columns)), float)) * columns
     rows = np.max(np.where(np.isfinite(entries), entries, 0.0), axis=1, initial=0.0)

@@ -21,7 +21,7 @@ def torch_function(of: Differentiable, free: Sequence[str] | None = None) -> Cal
         raise ImportError('torch_function needs PyTorch: pip install "phfmu[torch]"') from error
     own = restricted(of, free)
 
-    class Called(torch.autograd.Function):
+    class TorchFunction(torch.autograd.Function):
         """values and reverse of `own`."""
 
         @staticmethod
@@ -41,7 +41,7 @@ def torch_function(of: Differentiable, free: Sequence[str] | None = None) -> Cal
             if not isinstance(a, torch.Tensor) or a.dtype != torch.float64 or a.device.type != "cpu":
                 kind = f"{a.dtype} on {a.device}" if isinstance(a, torch.Tensor) else type(a).__name__
                 raise TypeError(f"{own.name}: {block.name} is {kind}; expected a tensor of torch.float64 on the CPU")
-        found = Called.apply(*arguments)
+        found = TorchFunction.apply(*arguments)
         return found[0] if len(own.outputs) == 1 else found
 
     return function

@@ -16,7 +16,7 @@ import numpy as np
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.event import StateEvent
 from phfmu.declare.phdae import PHDAE
-from phfmu.declare.variable import Value, _sx, time
+from phfmu.declare.variable import ValueKind, _sx, time
 from phfmu.events.jump_tables import JumpTables, jump_tables
 from phfmu.events.polynomial import Polynomial
 from phfmu.plan.address import READ, Address, row
@@ -174,11 +174,13 @@ def _rates(terms: Terms, locator: Locator, guards: Mapping[int, tuple[str, ca.SX
     inputs = ca.vertcat(ca.SX(0, 1), *(p.port.u[p.j] for p in terms.pairs))
     f = ca.vertsplit(flow_expressions(terms, costate_symbols(terms.model), inputs)[0])
     velocity = velocity_of(terms) if terms.of(CONSTRAINT) else {}
-    unknown = set(terms.with_descriptor()) | {velocity[i] for t in terms.of(CONSTRAINT) for i in t.index[Value.STATE]}
-    hidden = {ValueAt(Value.COSTATE, i) for i in terms.solved_costates()}
+    unknown = set(terms.with_descriptor()) | {
+        velocity[i] for t in terms.of(CONSTRAINT) for i in t.index[ValueKind.STATE]
+    }
+    hidden = {ValueAt(ValueKind.COSTATE, i) for i in terms.solved_costates()}
     known: dict[int, ca.SX] = {}
     for i, (label, expr) in guards.items():
-        own = {at.index: s for at, s in _read(locator, label, expr).items() if at.kind is Value.STATE}
+        own = {at.index: s for at, s in _read(locator, label, expr).items() if at.kind is ValueKind.STATE}
         states = sorted(own)
         slope = ca.jacobian(expr, ca.vertcat(ca.SX(0, 1), *(own[j] for j in states)))
         rate = ca.mtimes(slope, ca.vertcat(ca.SX(0, 1), *(f[j] for j in states))) + ca.jacobian(expr, time)
@@ -190,7 +192,9 @@ def _rates(terms: Terms, locator: Locator, guards: Mapping[int, tuple[str, ca.SX
         i: (guards[i][0], rate)
         for i, rate in zip(known, rates, strict=True)
         if not rate.is_constant()
-        and all(at.kind is not Value.ALGEBRAIC for e in (guards[i][1], rate) for at in _read(locator, guards[i][0], e))
+        and all(
+            at.kind is not ValueKind.ALGEBRAIC for e in (guards[i][1], rate) for at in _read(locator, guards[i][0], e)
+        )
     }
 
 
@@ -200,21 +204,21 @@ def _read(locator: Locator, label: str, expr: ca.SX) -> dict[ValueAt, ca.SX]:
 
 
 def _spec(term: Term) -> Spec:
-    x = ca.vertcat(term.symbols(Value.STATE), term.symbols(Value.TIME))
-    y = [(Address(READ[k], j), s) for k in (Value.ALGEBRAIC, Value.INPUT) for j, s in enumerate(_each(term, k))]
-    return Spec(1, x, term.symbols(Value.PARAMETER), y, [(Address(row), 0, term.data["f"])], report=True)
+    x = ca.vertcat(term.symbols(ValueKind.STATE), term.symbols(ValueKind.TIME))
+    y = [(Address(READ[k], j), s) for k in (ValueKind.ALGEBRAIC, ValueKind.INPUT) for j, s in enumerate(_each(term, k))]
+    return Spec(1, x, term.symbols(ValueKind.PARAMETER), y, [(Address(row), 0, term.data["f"])], report=True)
 
 
-def _each(term: Term, kind: Value) -> list[ca.SX]:
+def _each(term: Term, kind: ValueKind) -> list[ca.SX]:
     """Local symbols of a kind, one by one."""
     return ca.vertsplit(term.symbols(kind)) if term.indices(kind) else []
 
 
 def _table(terms: Terms, spec: Spec, own: list[Term]) -> Group:
     """The group of the guards `own`, which share a kernel."""
-    x = [[*t.indices(Value.STATE), *(terms.n1 for _ in t.indices(Value.TIME))] for t in own]
-    y = [[*t.indices(Value.ALGEBRAIC), *(terms.na + u for u in t.indices(Value.INPUT))] for t in own]
-    rows = x, y, [t.indices(Value.PARAMETER) for t in own], [[t.rows[0].index] for t in own]
+    x = [[*t.indices(ValueKind.STATE), *(terms.n1 for _ in t.indices(ValueKind.TIME))] for t in own]
+    y = [[*t.indices(ValueKind.ALGEBRAIC), *(terms.na + u for u in t.indices(ValueKind.INPUT))] for t in own]
+    rows = x, y, [t.indices(ValueKind.PARAMETER) for t in own], [[t.rows[0].index] for t in own]
     arrays = [np.array(r, np.int32).reshape(len(own), -1) for r in rows]
     return Group(build(spec), 1, 1, *arrays, power=np.zeros(1, np.int8), owner=np.zeros(len(own), np.int32))
 

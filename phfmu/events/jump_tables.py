@@ -16,7 +16,7 @@ import numpy as np
 
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.event import StateEvent
-from phfmu.declare.variable import Value
+from phfmu.declare.variable import ValueKind
 from phfmu.events.jump_columns import jump_columns
 from phfmu.plan.address import Address, row
 from phfmu.plan.plan import Floats, Group, Ints, Powers
@@ -70,7 +70,7 @@ def jump_tables(terms: Terms, events: Sequence[StateEvent]) -> JumpTables | None
     term = make_term(
         JUMP, {"f": ca.densify(results)}, locator, "the jumps of state events", rows=[RowAt(Row.OBSERVABLE, 0)]
     )
-    if extra := sorted(k.value for k in term.index.keys() - {Value.STATE, Value.PARAMETER}):
+    if extra := sorted(k.value for k in term.index.keys() - {ValueKind.STATE, ValueKind.PARAMETER}):
         raise DeclarationError(
             f"{terms.model.name}: the jumps of state events",
             f"columns or restitution depend on values of the kinds {', '.join(extra)}",
@@ -79,8 +79,8 @@ def jump_tables(terms: Terms, events: Sequence[StateEvent]) -> JumpTables | None
         )
     f = term.data["f"]
     out = [(Address(row, j), 0, f[j]) for j in range(f.numel())]
-    kernel = build(Spec(1, term.symbols(Value.STATE), term.symbols(Value.PARAMETER), [], out, report=True))
-    tables = [term.indices(Value.STATE), (), term.indices(Value.PARAMETER), range(f.numel())]
+    kernel = build(Spec(1, term.symbols(ValueKind.STATE), term.symbols(ValueKind.PARAMETER), [], out, report=True))
+    tables = [term.indices(ValueKind.STATE), (), term.indices(ValueKind.PARAMETER), range(f.numel())]
     arrays = [np.array(list(t), np.int32).reshape(1, -1) for t in tables]
     group = Group(kernel, 1, 1, *arrays, power=np.zeros(f.numel(), np.int8), owner=np.zeros(1, np.int32))
     jumps = [e.jump for e in events]

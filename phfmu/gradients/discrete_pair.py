@@ -23,9 +23,9 @@ from phfmu.declare.entries.coefficients import square, stacked
 from phfmu.declare.entries.matrices import matrices
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.phdae import PHDAE
-from phfmu.declare.transform.change import Change
+from phfmu.declare.transform.change import VariableChange
 from phfmu.declare.transform.inverse import inverted
-from phfmu.declare.transform.maps import Maps
+from phfmu.declare.transform.maps import CoordinateMaps
 from phfmu.declare.transform.transformation import SystemTransformation
 from phfmu.declare.transform.transformed import transformed
 from phfmu.declare.variable import Variable, VariableKind, key, slices
@@ -121,7 +121,7 @@ def with_closed_pair(model: PHDAE, T: SystemTransformation, method: str = "per-t
     For phi of states with constant E and U and terms of H that depend on replaced states only.  The steps agree if J, R
     and B do not depend on replaced states; the balance is exact in any case.  DeclarationError says what does not fit.
     """
-    change = Change(model, T)
+    change = VariableChange(model, T)
     maps, old = change.T, change.old
     x = ca.vertcat(*(v.sx for v in old))
     E = _constant_descriptor(model, maps, old)
@@ -162,7 +162,7 @@ def with_closed_pair(model: PHDAE, T: SystemTransformation, method: str = "per-t
     return replace(result, closed=(*result.closed, pair), E=kept, z=given)
 
 
-def _constant_descriptor(model: PHDAE, maps: Maps, old: tuple[Variable, ...]) -> ca.SX:
+def _constant_descriptor(model: PHDAE, maps: CoordinateMaps, old: tuple[Variable, ...]) -> ca.SX:
     bad = [v.name for v in (*old, *maps.new) if v.kind is not VariableKind.STATE]
     if bad or ca.depends_on(ca.vec(maps.U), maps.x):
         what = f"{', '.join(bad)} is algebraic" if bad else "U depends on the state"

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.transform.descriptor import kernels
 from phfmu.importers.definite import RELATIVE, Sparse, csc, in_words
-from phfmu.importers.given import Given, symbolic
+from phfmu.importers.given import DescriptorSystem, symbolic
 
 Array = NDArray[Any]
 #: eigenvalues of the balanced Hessian below this fraction of the largest belong to states without energy
@@ -61,7 +61,7 @@ class Coordinates:
         return csc(self.V1 - V2 @ (self.U2.T @ Q @ self.V1)), V2
 
 
-def semi_explicit(model: str, given: Given, names: Sequence[str]) -> Coordinates:
+def semi_explicit(model: str, given: DescriptorSystem, names: Sequence[str]) -> Coordinates:
     """The semi-explicit form; regular parts of E keep their coordinates, all of them if E is regular.
 
     DeclarationError: x along some direction occurs neither in E x nor in Q x.
@@ -85,7 +85,7 @@ def semi_explicit(model: str, given: Given, names: Sequence[str]) -> Coordinates
     return _projected(given, U1, U2, V1, V2)
 
 
-def with_energy_states(given: Given, c: Coordinates) -> Coordinates:
+def with_energy_states(given: DescriptorSystem, c: Coordinates) -> Coordinates:
     """Coordinates with E1 = I, H1 = diag(1, .., 1, 0, .., 0) and R diagonal where H1 is 1.
 
     H1 = D C D with the diagonal of C = 1, so that units do not count, and C = W diag(c) W^T:  x1~ = diag(sqrt c) W^T D x1.
@@ -115,7 +115,7 @@ def with_energy_states(given: Given, c: Coordinates) -> Coordinates:
     )
 
 
-def _projected(given: Given, U1: Sparse, U2: Sparse, V1: Sparse, V2: Sparse) -> Coordinates:
+def _projected(given: DescriptorSystem, U1: Sparse, U2: Sparse, V1: Sparse, V2: Sparse) -> Coordinates:
     U = csc(sp.hstack([U1, U2]))
     J, R, H = U.T @ given.J @ U, U.T @ given.R @ U, V1.T @ given.H @ V1
     return Coordinates(

@@ -15,7 +15,7 @@ from phfmu.importers.definite import RELATIVE, Sparse, csc, descent, in_words
 
 
 @dataclass(frozen=True, eq=False)
-class Given:
+class DescriptorSystem:
     """E x' = (J - R) Q x + (G - P) u, y = (G + P)^T Q x + (S - N) u; all matrices sparse, with zeros left out."""
 
     E: Sparse
@@ -38,7 +38,7 @@ class Given:
         return csc(sp.bmat([[self.R, self.P], [self.P.T, self.S]]))
 
 
-def read(name: str, **found: Any) -> Given:
+def read(name: str, **found: Any) -> DescriptorSystem:
     """The matrices of numbers behind `found`, None for absent ones; DeclarationError if shapes or values do not fit."""
     J = _matrix(name, "J", found["J"])
     n = J.shape[0]
@@ -59,7 +59,7 @@ def read(name: str, **found: Any) -> Given:
     ]  # fmt: skip
     if wrong:
         raise DeclarationError.of(wrong)
-    return Given(**made)
+    return DescriptorSystem(**made)
 
 
 def _matrix(model: str, what: str, value: Any, shape: tuple[int, int] | None = None) -> Sparse:
@@ -84,7 +84,9 @@ def _matrix(model: str, what: str, value: Any, shape: tuple[int, int] | None = N
     return made
 
 
-def port_hamiltonian(name: str, given: Given, states: Sequence[str], inputs: Sequence[str]) -> Given:
+def port_hamiltonian(
+    name: str, given: DescriptorSystem, states: Sequence[str], inputs: Sequence[str]
+) -> DescriptorSystem:
     """`given` without rounding errors of its symmetries; DeclarationError lists everything that is not port-Hamiltonian."""
     hessian = "it is the Hessian of H = 1/2 x^T E^T Q x"
     found = [

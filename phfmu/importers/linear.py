@@ -17,10 +17,10 @@ from phfmu.declare.port import Port
 from phfmu.declare.variable import Variable
 from phfmu.importers.coordinates import Coordinates, semi_explicit, with_energy_states
 from phfmu.importers.definite import Sparse, csc, parts
-from phfmu.importers.given import Given, port_hamiltonian, read, symbolic
+from phfmu.importers.given import DescriptorSystem, port_hamiltonian, read, symbolic
 from phfmu.importers.naming import PLAIN as PLAIN
-from phfmu.importers.naming import Named, entries, named, named_ports, named_states, scalar_names
-from phfmu.importers.summed import Piece, pieces
+from phfmu.importers.naming import NamedVariables, entries, named, named_ports, named_states, scalar_names
+from phfmu.importers.summed import MatrixSummand, pieces
 
 Coordinate = Literal["auto", "given", "energy"]
 
@@ -76,14 +76,16 @@ def matrices(
     return _declared(name, given, c, kept, ports, description)
 
 
-def _dense(given: Given) -> bool:
+def _dense(given: DescriptorSystem) -> bool:
     def a_row(m: Sparse) -> float:
         return m.nnz / max(1, np.count_nonzero(np.diff(sp.csr_matrix(m).indptr)))
 
     return max(a_row(m) for m in (given.E, given.H, given.R)) > DENSE_ROW
 
 
-def _declared(name: str, given: Given, c: Coordinates, kept: Named, ports: tuple[Port, ...], description: str) -> PHDAE:
+def _declared(
+    name: str, given: DescriptorSystem, c: Coordinates, kept: NamedVariables, ports: tuple[Port, ...], description: str
+) -> PHDAE:
     rows = (*kept.states, *kept.algebraics)
     scalars = entries(rows)
     acting = _acting(c.G, rows, ports)
@@ -119,7 +121,7 @@ def _acting(G: Sparse, rows: Sequence[Variable], ports: Sequence[Port]) -> tuple
     return tuple(made)
 
 
-def _energy(scalars: Sequence[Variable], piece: Piece) -> Energy:
+def _energy(scalars: Sequence[Variable], piece: MatrixSummand) -> Energy:
     if piece.sign:  # as a square: it is zero where nothing is stretched
         a, b = (scalars[i].sx for i in piece.where)
         return energy(piece.matrix[0, 0] / 2 * (a + piece.sign * b) ** 2)
@@ -127,11 +129,13 @@ def _energy(scalars: Sequence[Variable], piece: Piece) -> Energy:
     return energy(ca.dot(x, ca.mtimes(symbolic(csc(piece.matrix)), x)) / 2)
 
 
-def _damping(scalars: Sequence[Variable], piece: Piece) -> Block:
+def _damping(scalars: Sequence[Variable], piece: MatrixSummand) -> Block:
     return block([scalars[i] for i in piece.where], symbolic(csc(piece.matrix)))
 
 
-def _feedthrough(given: Given, c: Coordinates, scalars: Sequence[Variable], ports: tuple[Port, ...]) -> list[Block]:
+def _feedthrough(
+    given: DescriptorSystem, c: Coordinates, scalars: Sequence[Variable], ports: tuple[Port, ...]
+) -> list[Block]:
     """The block [0, P; P^T, S] on the states P acts on and all ports."""
     if not c.P.nnz and not given.S.nnz:
         return []

@@ -19,7 +19,7 @@ DROPPABLE = ("actuators", "armature", "contacts", "damping", "friction", "limits
 
 
 @dataclass(frozen=True)
-class BodyRead:
+class BodyData:
     """A body with what is welded to it, in the world: mass [kg], centre [m], tensor [kg.m2] about it, frame, velocities.
 
     Mass 0: a frame between the joints of one body, whose velocities follow from theirs.
@@ -36,7 +36,7 @@ class BodyRead:
 
 
 @dataclass(frozen=True)
-class JointRead:
+class JointData:
     """A joint between bodies by their numbers, -1 for the ground, at a point [m] along an axis of the world.
 
     coordinate [rad, m]: at the start;  neutral: where its spring is at rest;  armature [kg.m2, kg];  motor: has it a port
@@ -54,11 +54,11 @@ class JointRead:
     neutral: float = 0.0
     armature: float = 0.0
     motor: bool = False
-    limits: LimitsRead | None = None
+    limits: LimitsData | None = None
 
 
 @dataclass(frozen=True)
-class LimitsRead:
+class LimitsData:
     """Ends of a coordinate [rad, m], that throw back with a restitution [1]."""
 
     lower: float
@@ -67,7 +67,7 @@ class LimitsRead:
 
 
 @dataclass(frozen=True)
-class GearRead:
+class GearData:
     """An equality of two joints by their numbers: rate of b = ratio times rate of a."""
 
     name: str
@@ -77,14 +77,14 @@ class GearRead:
 
 
 @dataclass(frozen=True)
-class MechanismRead:
+class MechanismData:
     """gravity [m/s2];  lost: what was left out because it was to be dropped;  assumed: what the file says otherwise."""
 
     name: str
     gravity: tuple[float, ...]
-    bodies: tuple[BodyRead, ...]
-    joints: tuple[JointRead, ...]
-    gears: tuple[GearRead, ...]
+    bodies: tuple[BodyData, ...]
+    joints: tuple[JointData, ...]
+    gears: tuple[GearData, ...]
     lost: tuple[str, ...]
     assumed: tuple[str, ...]
 
@@ -95,7 +95,7 @@ def read_mechanism(
     drop: Iterable[str] = (),
     qpos: Sequence[float] | None = None,
     qvel: Sequence[float] | None = None,
-) -> MechanismRead:
+) -> MechanismData:
     """Read an MJCF or URDF file at its reference pose, or at MuJoCo's `qpos` with `qvel`.
 
     drop:    of actuators, armature, contacts, damping, friction, limits, springs: those left out, which `lost` tells
@@ -123,7 +123,7 @@ def read_mechanism(
         if given is not None:
             array[:] = given
     mujoco.mj_forward(model, data)
-    return _Reader(model, data, mujoco, dropped).read(tuple(text for _, text in found))
+    return _MechanismReader(model, data, mujoco, dropped).read(tuple(text for _, text in found))
 
 
 def _text(path: Path) -> str:
@@ -231,7 +231,7 @@ def _damping(m: Any) -> np.ndarray:
     return values.reshape(m.nv, -1) if m.nv else np.zeros((0, 1))
 
 
-class _Reader:
+class _MechanismReader:
     """Bodies and joints of a model at a pose."""
 
     def __init__(self, model: Any, data: Any, mujoco: Any, dropped: set[str]):
@@ -242,12 +242,12 @@ class _Reader:
         self.joint_number: dict[int, int] = {}
         self.number = {0: -1} | {root: i for i, root in enumerate(self.roots)}
 
-    def read(self, lost: tuple[str, ...]) -> MechanismRead:
+    def read(self, lost: tuple[str, ...]) -> MechanismData:
         bodies = [self.body(root) for root in self.roots]
-        joints: list[JointRead] = []
+        joints: list[JointData] = []
         for root in self.roots:
             self.joints(root, bodies, joints)
-        gears: list[GearRead] = []
+        gears: list[GearData] = []
         self.open()
         for e in _active(self.m, self.mujoco):
             if self.m.eq_type[e] == self.mujoco.mjtEq.mjEQ_JOINT:
@@ -255,14 +255,14 @@ class _Reader:
             else:
                 joints.append(self.loop(e))
         name = str(self.m.names.split(b"\0")[0].decode() or "mechanism").replace(" ", "_")
-        return MechanismRead(
+        return MechanismData(
             name, self.gravity(), tuple(bodies), tuple(joints), tuple(gears), lost, tuple(self.assumed)
         )
 
     def gravity(self) -> tuple[float, ...]:
         return tuple(map(float, self.m.opt.gravity))
 
-    def body(self, root: int) -> BodyRead:
+    def body(self, root: int) -> BodyData:
         m, d = self.m, self.d
         group = [x for x in range(1, m.nbody) if m.body_weldid[x] == root]
         mass = float(sum(m.body_mass[x] for x in group))
@@ -278,9 +278,9 @@ class _Reader:
         velocity = rate[3:] + np.cross(rate[:3], centre - d.xpos[root])
         rotation = d.xmat[root].reshape(3, 3).copy()
         name = m.body(root).name or f"body{root}"
-        return BodyRead(name, mass, centre, tensor, d.xpos[root].copy(), rotation, velocity, rate[:3].copy())
+        return BodyData(name, mass, centre, tensor, d.xpos[root].copy(), rotation, velocity, rate[:3].copy())
 
-    def joints(self, root: int, bodies: list[BodyRead], joints: list[JointRead]) -> None:
+    def joints(self, root: int, bodies: list[BodyData], joints: list[JointData]) -> None:
         """The joints of a body with its parent, with massless bodies between where there are several."""
         m, d, kinds = self.m, self.d, self.mujoco.mjtJoint
         last = self.number[int(m.body_weldid[m.body_parentid[root]])]
@@ -292,17 +292,17 @@ class _Reader:
             if i < first + count - 1:
                 end = len(bodies)
                 whole, rest = bodies[self.number[root]], np.zeros(3)
-                bodies.append(BodyRead(f"{whole.name}_{i}", 0.0, at, np.zeros((3, 3)), at, whole.rotation, rest, rest))
+                bodies.append(BodyData(f"{whole.name}_{i}", 0.0, at, np.zeros((3, 3)), at, whole.rotation, rest, rest))
             if m.jnt_type[i] == kinds.mjJNT_BALL:
                 joints.append(
-                    JointRead("spherical", m.joint(i).name or f"joint{i}", last, end, at, np.array((0.0, 0, 1)))
+                    JointData("spherical", m.joint(i).name or f"joint{i}", last, end, at, np.array((0.0, 0, 1)))
                 )
             else:
                 self.joint_number[i] = len(joints)
                 joints.append(self.single(i, last, end, at, axis))
             last = end
 
-    def single(self, i: int, a: int, b: int, at: np.ndarray, axis: np.ndarray) -> JointRead:
+    def single(self, i: int, a: int, b: int, at: np.ndarray, axis: np.ndarray) -> JointData:
         """A hinge or a slider."""
         m, dof = self.m, int(self.m.jnt_dofadr[i])
         hinge = m.jnt_type[i] == self.mujoco.mjtJoint.mjJNT_HINGE
@@ -312,7 +312,7 @@ class _Reader:
         def kept(what: str, value: float) -> float:
             return 0.0 if what in self.dropped else float(value)
 
-        return JointRead(
+        return JointData(
             "revolute" if hinge else "prismatic", m.joint(i).name or f"joint{i}", a, b, at, axis,
             damping=kept("damping", _damping(m)[dof, 0]), armature=kept("armature", m.dof_armature[dof]),
             stiffness=kept("springs", np.ravel(m.jnt_stiffness[i])[0]),
@@ -320,7 +320,7 @@ class _Reader:
             motor=bool(motors) and "actuators" not in self.dropped, limits=self.limits(i),
         )  # fmt: skip
 
-    def limits(self, i: int) -> LimitsRead | None:
+    def limits(self, i: int) -> LimitsData | None:
         """Hard ends, where MuJoCo has a spring and a damper per unit of inertia."""
         m = self.m
         if not m.jnt_limited[i] or "limits" in self.dropped or _off(m, self.mujoco, "LIMIT"):
@@ -332,7 +332,7 @@ class _Reader:
             f"the limits of {m.joint(i).name or f'joint {i}'} are hard and throw back with a restitution of {back:.4g}, "
             f"in place of MuJoCo's {text}"
         )
-        return LimitsRead(lower + margin, upper - margin, back)
+        return LimitsData(lower + margin, upper - margin, back)
 
     def open(self) -> None:
         """ValueError for an equality that does not hold at the start."""
@@ -345,23 +345,23 @@ class _Reader:
                     f"{_equality(m, e)} misses by {gap:.6g} (m or rad) at the start; give `qpos` where it holds"
                 )
 
-    def gear(self, e: int, joints: list[JointRead], gears: list[GearRead]) -> None:
+    def gear(self, e: int, joints: list[JointData], gears: list[GearData]) -> None:
         """An equality of the coordinates of two joints, or one that holds a joint where it is."""
         m, one, two = self.m, int(self.m.eq_obj1id[e]), int(self.m.eq_obj2id[e])
         ratio, name = float(m.eq_data[e][1]), m.equality(e).name or f"equality{e}"
         b = self.joint_number[one]
         if two >= 0 and ratio:
-            gears.append(GearRead(name, self.joint_number[two], b, ratio))
+            gears.append(GearData(name, self.joint_number[two], b, ratio))
             return
         held = joints[b]
-        joints[b] = JointRead("fixed", held.name, held.a, held.b, held.at, held.axis)
+        joints[b] = JointData("fixed", held.name, held.a, held.b, held.at, held.axis)
         self.assumed.append(f"{held.name} is fixed by {_equality(m, e)}, and what it carries is left out")
 
-    def loop(self, e: int) -> JointRead:
+    def loop(self, e: int) -> JointData:
         """An equality that connects or welds two bodies."""
         m, d = self.m, self.d
         one, two = int(m.eq_obj1id[e]), int(m.eq_obj2id[e])
         kind = "spherical" if m.eq_type[e] == self.mujoco.mjtEq.mjEQ_CONNECT else "fixed"
         at = d.xpos[one] + d.xmat[one].reshape(3, 3) @ m.eq_data[e][:3] if kind == "spherical" else d.xpos[two].copy()
         a, b = (self.number[int(m.body_weldid[x])] for x in (one, two))
-        return JointRead(kind, m.equality(e).name or f"equality{e}", a, b, at, np.array((0.0, 0, 1)))
+        return JointData(kind, m.equality(e).name or f"equality{e}", a, b, at, np.array((0.0, 0, 1)))

@@ -16,7 +16,7 @@ from phfmu.declare.port import Domain, Port
 from phfmu.declare.variable import Variable, VariableKind, algebraic, make_variable, state
 from phfmu.importers.coordinates import Coordinates
 from phfmu.importers.definite import Sparse, csc
-from phfmu.importers.given import Given, symbolic
+from phfmu.importers.given import DescriptorSystem, symbolic
 
 Array = NDArray[np.float64]
 
@@ -25,7 +25,7 @@ PLAIN = Domain("plain", "u", "1", "y", "W", "effort")
 
 
 @dataclass(frozen=True)
-class Named:
+class NamedVariables:
     """Differential and algebraic variables, and the given states as observables where they are neither."""
 
     states: tuple[Variable, ...]
@@ -71,11 +71,13 @@ def entries(variables: Sequence[Variable]) -> list[Variable]:
     return [v if v.size is None else v.part(i, 1) for v in variables for i in range(v.n)]
 
 
-def named(given: Given, c: Coordinates, x: tuple[Variable, ...], label: str, reported: bool) -> Named:
+def named(
+    given: DescriptorSystem, c: Coordinates, x: tuple[Variable, ...], label: str, reported: bool
+) -> NamedVariables:
     """Variables for the coordinates: `x` itself where it is one of them, else vectors `label` and `algebraic`."""
     n = c.V1.shape[0]
     if not c.n2 and _is_identity(c.V1, n):
-        return Named(x)
+        return NamedVariables(x)
     if label == "differential" and _selects(given, c):
         return _selected(x, set(c.V2.tocoo().row.tolist()), reported)
     start, nominal = (np.array([s for v in x for s in getattr(v, what)]) for what in ("start", "nominal"))
@@ -85,7 +87,7 @@ def named(given: Given, c: Coordinates, x: tuple[Variable, ...], label: str, rep
     text = f"of {', '.join(v.name for v in x)}"
     states = _vector(state, label, to_x1, start, nominal, f"coordinates {text}")
     rest = _vector(algebraic, "algebraic", to_z2, start, nominal, f"costates {text} in the kernel of E^T")
-    return Named(states, rest, _reports(given, c, x, (*states, *rest)) if reported else ())
+    return NamedVariables(states, rest, _reports(given, c, x, (*states, *rest)) if reported else ())
 
 
 def _vector(make, name: str, rows: Array, start: Array, nominal: Array, text: str) -> tuple[Variable, ...]:  # noqa: ANN001
@@ -99,7 +101,7 @@ def _vector(make, name: str, rows: Array, start: Array, nominal: Array, text: st
 
 
 def _reports(
-    given: Given, c: Coordinates, x: tuple[Variable, ...], new: tuple[Variable, ...]
+    given: DescriptorSystem, c: Coordinates, x: tuple[Variable, ...], new: tuple[Variable, ...]
 ) -> tuple[Observable, ...]:
     M = csc(sp.hstack(c.states(given.Q)))
     value = ca.mtimes(symbolic(M), ca.vertcat(*(v.sx for v in new)))
@@ -113,14 +115,14 @@ def _is_identity(matrix: Sparse, n: int) -> bool:
     return matrix.shape == (n, n) and abs(matrix - sp.eye(n)).nnz == 0
 
 
-def _selects(given: Given, c: Coordinates) -> bool:
+def _selects(given: DescriptorSystem, c: Coordinates) -> bool:
     """Every coordinate is one of the given states: x1 = x[differential], z2 = x[algebraic]."""
     same = all(a.shape == b.shape and abs(a - b).nnz == 0 for a, b in ((c.U1, c.V1), (c.U2, c.V2)))
     ones = all(m.nnz == m.shape[1] and (m.data == 1.0).all() for m in (c.V1, c.V2))
     return same and ones and _is_identity(c.U2.T @ given.Q @ c.V2, c.n2) and (c.U2.T @ given.Q @ c.V1).nnz == 0
 
 
-def _selected(x: tuple[Variable, ...], inner: set[int], reported: bool) -> Named:
+def _selected(x: tuple[Variable, ...], inner: set[int], reported: bool) -> NamedVariables:
     """The given states, those in `inner` as algebraic variables; a vector that has both is split."""
     states, rest, reports, at = [], [], [], 0
     for v in x:
@@ -139,7 +141,7 @@ def _selected(x: tuple[Variable, ...], inner: set[int], reported: bool) -> Named
             value = ca.SX(v.n, 1)
             value[D], value[A] = states[-1].sx, rest[-1].sx
             reports.append(observable(v.name, value, unit=v.unit, description=v.description))
-    return Named(tuple(states), tuple(rest), tuple(reports))
+    return NamedVariables(tuple(states), tuple(rest), tuple(reports))
 
 
 def _part(v: Variable, kind: VariableKind, name: str, size: int | None, which: list[int]) -> Variable:

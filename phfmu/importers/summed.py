@@ -24,7 +24,7 @@ SHARED = 8
 
 
 @dataclass(frozen=True, eq=False)
-class Piece:
+class MatrixSummand:
     """A summand: `matrix` on the rows and columns `where`; a multiple of (x_i + sign x_j)^2 if `sign` is not 0."""
 
     where: list[int]
@@ -36,7 +36,7 @@ class Piece:
         return int(np.count_nonzero(self.matrix))
 
 
-def pieces(matrix: Sparse) -> list[Piece]:
+def pieces(matrix: Sparse) -> list[MatrixSummand]:
     """The summands of a symmetric matrix: equal ones alone, the others joined."""
     found = [p for where in parts(matrix) for p in _part(csc(matrix[where][:, where]), where)]
     often = Counter(p.matrix.tobytes() for p in found)
@@ -50,13 +50,13 @@ def pieces(matrix: Sparse) -> list[Piece]:
     return [*alone, *joined, *([_joined(rest)] if rest else [])]
 
 
-def _part(block: Sparse, where: Array) -> Iterator[Piece]:
+def _part(block: Sparse, where: Array) -> Iterator[MatrixSummand]:
     """A connected part as it is, or link by link where it is large."""
     block.eliminate_zeros()
     if not block.nnz:
         return
     if block.nnz <= ENTRIES:
-        yield Piece(where.tolist(), block.toarray())
+        yield MatrixSummand(where.tolist(), block.toarray())
         return
     upper = sp.coo_matrix(sp.triu(block, 1))
     left, size = block.diagonal(), np.asarray(abs(block).sum(axis=1)).ravel()
@@ -64,12 +64,12 @@ def _part(block: Sparse, where: Array) -> Iterator[Piece]:
         left[i] -= abs(a)
         left[j] -= abs(a)
         sign = 1 if a > 0 else -1
-        yield Piece([int(where[i]), int(where[j])], abs(a) * np.array([[1.0, sign], [sign, 1.0]]), sign)
+        yield MatrixSummand([int(where[i]), int(where[j])], abs(a) * np.array([[1.0, sign], [sign, 1.0]]), sign)
     left[np.abs(left) <= 8 * np.finfo(float).eps * size] = 0.0
-    yield from (Piece([int(where[i])], np.array([[left[i]]])) for i in np.flatnonzero(left))
+    yield from (MatrixSummand([int(where[i])], np.array([[left[i]]])) for i in np.flatnonzero(left))
 
 
-def _joined(found: list[Piece]) -> Piece:
+def _joined(found: list[MatrixSummand]) -> MatrixSummand:
     if len(found) == 1:
         return found[0]
     rows = sorted({i for p in found for i in p.where})
@@ -78,4 +78,4 @@ def _joined(found: list[Piece]) -> Piece:
     for p in found:
         local = [place[i] for i in p.where]
         matrix[np.ix_(local, local)] += p.matrix
-    return Piece(rows, matrix)
+    return MatrixSummand(rows, matrix)

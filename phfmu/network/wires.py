@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import casadi as ca
 
 from phfmu.declare.entries.coefficients import coefficient
-from phfmu.declare.expressions.units import Unit, UnitError, parse_unit
+from phfmu.declare.expressions.units import PhysicalUnit, UnitError, parse_unit
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import Port
 from phfmu.declare.signal import read_by, signal_inputs
@@ -146,7 +146,7 @@ class _SignalUnit:
 
     end: str
     text: str
-    unit: Unit | None
+    unit: PhysicalUnit | None
     known: bool
     declared: bool
 
@@ -162,7 +162,7 @@ def _signal_unit(member: PHDAE | UnitFile, name: str, end: str) -> _SignalUnit:
     return _SignalUnit(end, variable.unit, defined.get(variable.unit) or _parsed(variable.unit), known, False)
 
 
-def _parsed(text: str) -> Unit | None:
+def _parsed(text: str) -> PhysicalUnit | None:
     try:
         return parse_unit(text)
     except UnitError:

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from phfmu.declare.variable import Value
+from phfmu.declare.variable import ValueKind
 from phfmu.plan.unknown import ALGEBRAIC, COSTATE, INCREMENT
 from phfmu.terms.term import Term
 
@@ -38,27 +38,27 @@ class Address:
 
 def increment(layout: Layout, term: Term, j: int, node: int) -> int:
     """Increment of the term's j-th state."""
-    return layout.at(INCREMENT, term.index[Value.STATE][j], node)
+    return layout.at(INCREMENT, term.index[ValueKind.STATE][j], node)
 
 
 def own_costate(layout: Layout, term: Term, j: int, node: int) -> int:
     """Costate of the term's j-th state."""
-    return layout.costate(term.index[Value.STATE][j], node)
+    return layout.costate(term.index[ValueKind.STATE][j], node)
 
 
 def costate(layout: Layout, term: Term, j: int, node: int) -> int:
     """The j-th costate that the term reads."""
-    return layout.costate(term.index[Value.COSTATE][j], node)
+    return layout.costate(term.index[ValueKind.COSTATE][j], node)
 
 
 def algebraic(layout: Layout, term: Term, j: int, node: int) -> int:
     """The j-th algebraic variable that the term reads."""
-    return layout.at(ALGEBRAIC, term.index[Value.ALGEBRAIC][j], node)
+    return layout.at(ALGEBRAIC, term.index[ValueKind.ALGEBRAIC][j], node)
 
 
 def port_input(layout: Layout, term: Term, j: int, node: int) -> int:
     """The j-th port input that the term reads."""
-    return layout.input_index(term.index[Value.INPUT][j], node)
+    return layout.input_index(term.index[ValueKind.INPUT][j], node)
 
 
 def step_size(layout: Layout, term: Term, j: int, node: int) -> int:
@@ -68,7 +68,7 @@ def step_size(layout: Layout, term: Term, j: int, node: int) -> int:
 
 
 #: places by the kind of value that a term reads
-READ: dict[Value, Place] = {Value.COSTATE: costate, Value.ALGEBRAIC: algebraic, Value.INPUT: port_input}
+READ: dict[ValueKind, Place] = {ValueKind.COSTATE: costate, ValueKind.ALGEBRAIC: algebraic, ValueKind.INPUT: port_input}
 
 
 # -- results ------------------------------------------------------------------------------------------------------------
@@ -103,14 +103,14 @@ Old = Callable[["Layout", Term], list[int]]
 
 def states_then_time(layout: Layout, term: Term) -> list[int]:
     """The term's states, then time if it depends on it."""
-    return [*term.indices(Value.STATE), *time(layout, term)]
+    return [*term.indices(ValueKind.STATE), *time(layout, term)]
 
 
 def with_algebraics(layout: Layout, term: Term) -> list[int]:
     """States, then the algebraic variables of the last step."""
-    return [*term.indices(Value.STATE), *(layout.terms.n1 + 1 + i for i in term.index[Value.ALGEBRAIC])]
+    return [*term.indices(ValueKind.STATE), *(layout.terms.n1 + 1 + i for i in term.index[ValueKind.ALGEBRAIC])]
 
 
 def time(layout: Layout, term: Term) -> list[int]:
     """Time, if the term depends on it."""
-    return [layout.terms.n1] if Value.TIME in term.index else []
+    return [layout.terms.n1] if ValueKind.TIME in term.index else []

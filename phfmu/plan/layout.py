@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from phfmu.declare.variable import Value
+from phfmu.declare.variable import ValueKind
 from phfmu.plan.unknown import ALGEBRAIC, COSTATE, INCREMENT, Role, Unknown
 from phfmu.terms.condense import CondensedVariables
 from phfmu.terms.located import Row, RowAt, ValueAt
@@ -169,8 +169,8 @@ _ROW: dict[Row, Callable[[Layout, int, int], int]] = {
     Row.OBSERVABLE: lambda layout, i, node: layout.report(i),
     Row.CONDENSED: Layout.condensed_row,
 }
-_VALUE: dict[Value, Callable[[Layout, int, int], int]] = {
-    Value.COSTATE: Layout.costate,
-    Value.ALGEBRAIC: lambda layout, i, node: layout.at(ALGEBRAIC, i, node),
-    Value.INPUT: Layout.input_index,
+_VALUE: dict[ValueKind, Callable[[Layout, int, int], int]] = {
+    ValueKind.COSTATE: Layout.costate,
+    ValueKind.ALGEBRAIC: lambda layout, i, node: layout.at(ALGEBRAIC, i, node),
+    ValueKind.INPUT: Layout.input_index,
 }

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.declare.error import DeclarationError
-from phfmu.declare.variable import Value
+from phfmu.declare.variable import ValueKind
 from phfmu.plan.layout import Layout
 from phfmu.plan.ordering import StructurallySingular, elimination_order
 from phfmu.plan.plan import Group, Holds, Ints, Kernel, Plan, Powers, Products
@@ -133,7 +133,7 @@ def _groups(layout: Layout, work: Sequence[tuple[Term, list[Spec]]]) -> list[Gro
                 tables[kernel.name, spec.stage, power] = t
             t.x.append(spec.old(layout, term)[: kernel.nx])
             t.y.append([a(layout, term) for a, _ in spec.y])
-            t.p.append(list(term.indices(Value.PARAMETER)) if kernel.np else [])
+            t.p.append(list(term.indices(ValueKind.PARAMETER)) if kernel.np else [])
             t.o.append([a(layout, term) for a, _, _ in spec.out])
             t.owner.append(term.owner)
     groups, slot = [], 1

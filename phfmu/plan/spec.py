@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import casadi as ca
 import numpy as np
 
-from phfmu.declare.variable import Value
+from phfmu.declare.variable import ValueKind
 from phfmu.plan.address import Address, Old, Place, states_then_time
 from phfmu.plan.plan import Kernel
 from phfmu.terms.term import Term
@@ -103,8 +103,8 @@ class Arguments:
     @property
     def x(self) -> ca.SX:
         """Old states of the term, then time if it depends on it."""
-        return ca.vertcat(self.term.symbols(Value.STATE), self.term.symbols(Value.TIME))
+        return ca.vertcat(self.term.symbols(ValueKind.STATE), self.term.symbols(ValueKind.TIME))
 
     @property
     def p(self) -> ca.SX:
-        return self.term.symbols(Value.PARAMETER)
+        return self.term.symbols(ValueKind.PARAMETER)

@@ -1,7 +1,7 @@
 """Experiments of a unit: times, step, parameters, stimuli and the results to be found.
 
 They are told by files of the type `application/x-ma-hs-experiments` (.exp).  Two drafts are read: times as attributes of
-`Experiment`, and of its child `TransientSimulation`, which is the newer one and is written.
+`UnitExperiment`, and of its child `TransientSimulation`, which is the newer one and is written.
 Source: github.com/modelica/ma-hs-experiments, schema/maHarmonizedSpecificationExperiments.xsd.
 """
 
@@ -33,7 +33,7 @@ _TRUTH = {"true": 1.0, "false": 0.0}
 
 
 @dataclass(frozen=True)
-class Experiment:
+class UnitExperiment:
     """A run of a unit from `start` to `stop` in communication steps of `step`, s; None where the unit's own are meant.
 
     `tolerance`: relative; None where none is told.  `parameters`, `stimuli`, `results`: names of files in the archive, ""
@@ -60,7 +60,7 @@ class Series:
     left_out: tuple[str, ...] = ()
 
 
-def experiments_text(name: str, experiments: Sequence[Experiment]) -> bytes:
+def experiments_text(name: str, experiments: Sequence[UnitExperiment]) -> bytes:
     """The file of these experiments; the files that they name are in its folder."""
     root = etree.Element("Experiments", name=name)
     for e in experiments:
@@ -78,7 +78,7 @@ def experiments_text(name: str, experiments: Sequence[Experiment]) -> bytes:
     return text_of(root)
 
 
-def read_experiments(data: bytes, file: str) -> list[Experiment]:
+def read_experiments(data: bytes, file: str) -> list[UnitExperiment]:
     """The experiments that `file` of a unit tells; FMUError for what is none."""
     root = parse(data, file)
     if root.tag != "Experiments":
@@ -86,7 +86,7 @@ def read_experiments(data: bytes, file: str) -> list[Experiment]:
     return [_experiment(e, file) for e in root.findall("Experiment")]
 
 
-def _experiment(e: Element, file: str) -> Experiment:
+def _experiment(e: Element, file: str) -> UnitExperiment:
     name = plain(e.get("name", ""), 200)
     run = e.find(_TRANSIENT)
     told = e if run is None else run
@@ -103,7 +103,7 @@ def _experiment(e: Element, file: str) -> Experiment:
     start, stop, step = (_number(told, word, where) for word in ("startTime", "stopTime", "stepSize"))
     parameters, stimuli, results = (sources.get(tag, "") for tag in ("Parameters", "Stimuli", "References"))
     tolerance = _number(e, "tolerance", where)
-    return Experiment(name, start, stop, step, tolerance, parameters, stimuli, results, "; ".join(why))
+    return UnitExperiment(name, start, stop, step, tolerance, parameters, stimuli, results, "; ".join(why))
 
 
 def _number(e: Element, word: str, where: str) -> float | None:

@@ -31,7 +31,7 @@ CSV, SSV = "text/csv", "application/x-ssp-parameter-set"
 
 
 @dataclass(frozen=True)
-class Related:
+class LayerFile:
     """A file of a unit: its name in the archive, role, MIME type, and a description to be shown."""
 
     name: str
@@ -45,7 +45,7 @@ class Related:
         return self.role.partition("/")[0]
 
 
-def manifest(files: Iterable[Related]) -> bytes:
+def manifest(files: Iterable[LayerFile]) -> bytes:
     """The list of these files, which all are in FOLDER."""
     root = etree.Element("fmiReferences", nsmap={"fmi-ls": _LS})
     for word, value in (("name", LAYER), ("version", VERSION), ("description", _ABOUT)):
@@ -56,14 +56,14 @@ def manifest(files: Iterable[Related]) -> bytes:
     return text_of(root)
 
 
-def related(unit: Path) -> list[Related]:
+def related(unit: Path) -> list[LayerFile]:
     """The files that the list of a unit names, empty without one; FMUError for a list that cannot be read."""
     with opened(unit) as archive:
         if MANIFEST not in checked(archive, unit):
             return []
         root = parse(document(archive, MANIFEST, unit), f"{unit.name}/{MANIFEST}")
     return [
-        Related(
+        LayerFile(
             inside(FOLDER, e.get("source", "")),
             plain(e.get("role", ""), 100),
             plain(e.get("type", "application/octet-stream"), 200),

@@ -22,8 +22,8 @@ from phfmu.fmu.importer.archive import checked, opened
 from phfmu.fmu.importer.unit_file import unit_file
 from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.network.scene import Event
-from phfmu.references.experiment import TYPE, Experiment, Series, experiments_text, series_text
-from phfmu.references.layer import CSV, FOLDER, MANIFEST, PARAMETER, RESULT, SMOKE_TEST, SSV, Related, manifest
+from phfmu.references.experiment import TYPE, Series, UnitExperiment, experiments_text, series_text
+from phfmu.references.layer import CSV, FOLDER, MANIFEST, PARAMETER, RESULT, SMOKE_TEST, SSV, LayerFile, manifest
 from phfmu.runs.loop import run
 from phfmu.runs.options import Options
 from phfmu.ssp.writing import parameter_set, values_before
@@ -107,7 +107,7 @@ def add_experiment(path: Path, series: Series, step: float, stop: float) -> None
             columns |= {n: -columns[n] for n in (*port.outputs, *port.step_outputs) if n in columns}
     values = values_before(unit)
     names = _FILES if values else {k: v for k, v in _FILES.items() if k != "parameters"}
-    experiment = Experiment(
+    experiment = UnitExperiment(
         "held inputs", unit.interface.start, stop, step, TOLERANCE,
         parameters=names.get("parameters", ""), results=names["results"],
     )  # fmt: skip
@@ -124,13 +124,13 @@ def add_experiment(path: Path, series: Series, step: float, stop: float) -> None
     write(path, own | files)
 
 
-def _related(names: dict[str, str]) -> list[Related]:
+def _related(names: dict[str, str]) -> list[LayerFile]:
     about = {
         "experiments": (SMOKE_TEST, TYPE, "a run with inputs held at their start values"),
         "parameters": (PARAMETER, SSV, "parameters of that run"),
         "results": (RESULT, CSV, "its results"),
     }
-    return [Related(file, *about[what]) for what, file in names.items()]
+    return [LayerFile(file, *about[what]) for what, file in names.items()]
 
 
 def _note(step: float, stop: float) -> str:

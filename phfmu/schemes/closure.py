@@ -16,7 +16,7 @@ from dataclasses import replace
 import casadi as ca
 
 from phfmu.declare.error import DeclarationError
-from phfmu.declare.variable import Value
+from phfmu.declare.variable import ValueKind
 from phfmu.gradients.quadrature import nodes
 from phfmu.plan.address import Address, algebraic, with_algebraics
 from phfmu.plan.layout import Layout
@@ -36,7 +36,7 @@ CLOSURE = TermKind("closure")
 
 def carried(layout: Layout, term: Term, j: int, node: int) -> int:
     """The new value of the j-th algebraic variable that the term reads; as a result: its closure."""
-    return layout.at(CARRIED, term.index[Value.ALGEBRAIC][j], node)
+    return layout.at(CARRIED, term.index[ValueKind.ALGEBRAIC][j], node)
 
 
 def require(point: str, scheme: str) -> None:
@@ -52,8 +52,8 @@ def unknowns(terms: Terms) -> list[Unknown]:
 
 def add(terms: Terms) -> Terms:
     """`terms` with one closure equation per algebraic variable."""
-    local = {Value.ALGEBRAIC: ca.SX.sym("a")}
-    new = [Term(CLOSURE, (CLOSURE,), local, {Value.ALGEBRAIC: (i,)}, {}) for i in range(terms.na)]
+    local = {ValueKind.ALGEBRAIC: ca.SX.sym("a")}
+    new = [Term(CLOSURE, (CLOSURE,), local, {ValueKind.ALGEBRAIC: (i,)}, {}) for i in range(terms.na)]
     return replace(terms, terms=[*terms.terms, *new])
 
 

@@ -23,7 +23,7 @@ import numpy as np
 from phfmu.declare.energy import EnergyKind
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.expressions.operations import degree
-from phfmu.declare.variable import Value
+from phfmu.declare.variable import ValueKind
 from phfmu.gradients import gradients
 from phfmu.gradients.discrete import Summand, node_gradients
 from phfmu.gradients.quadrature import nodes
@@ -109,7 +109,7 @@ class DiracDissipative(GaussScheme):
 
     def _pair(self, term: Term) -> list[Spec]:
         """E d and E^T f with E at the midpoint, and the discrete gradient of the pair's H."""
-        x, data, n = term.local[Value.STATE], term.data, len(term.rows)
+        x, data, n = term.local[ValueKind.STATE], term.data, len(term.rows)
         args = Arguments(term, 1)
         d = args.matrix(increment, n)
         kind = EnergyKind.QUADRATIC if degree(data["H"], x) in (0, 1, 2) else EnergyKind.GENERAL
@@ -158,10 +158,10 @@ def _constrained(terms: Terms, constraint: Constraint) -> Terms:
             "costates that E^T f = grad H does not contain)",
             f"give {n}",
         )
-    local = {Value.STATE: model.x, Value.ALGEBRAIC: ca.vertcat(*(v.sx for v in model.algebraics)),
-             Value.PARAMETER: ca.vertcat(*(p.sx for p in model.parameters))}  # fmt: skip
-    index = {Value.STATE: tuple(range(terms.n1)), Value.COSTATE: tuple(range(terms.n1)),
-             Value.ALGEBRAIC: tuple(range(terms.na)), Value.PARAMETER: tuple(range(terms.np))}  # fmt: skip
+    local = {ValueKind.STATE: model.x, ValueKind.ALGEBRAIC: ca.vertcat(*(v.sx for v in model.algebraics)),
+             ValueKind.PARAMETER: ca.vertcat(*(p.sx for p in model.parameters))}  # fmt: skip
+    index = {ValueKind.STATE: tuple(range(terms.n1)), ValueKind.COSTATE: tuple(range(terms.n1)),
+             ValueKind.ALGEBRAIC: tuple(range(terms.na)), ValueKind.PARAMETER: tuple(range(terms.np))}  # fmt: skip
     costates = tuple(RowAt(Row.BALANCE, i) for i in open_costates)
     term = Term(GIVEN, (GIVEN, id(constraint)), local, index, {"rows": rows, "new": new, "f": f}, costates)
     return replace(terms, terms=[*terms.terms, term])
@@ -170,11 +170,13 @@ def _constrained(terms: Terms, constraint: Constraint) -> Terms:
 def _given(term: Term) -> Spec:
     """The user's rows with x' = (x + D, X) and f = (Z, f2)."""
     args, local = Arguments(term, 1), term.local
-    n, m = local[Value.STATE].numel(), local[Value.ALGEBRAIC].numel()
+    n, m = local[ValueKind.STATE].numel(), local[ValueKind.ALGEBRAIC].numel()
     d, new = args.matrix(increment, n), args.matrix(carried, m)
     f = ca.vertcat(args.matrix(costate, n), args.matrix(algebraic, m))
-    pairs = [(term.data["new"], ca.vertcat(local[Value.STATE] + d, new)), (term.data["f"], f)]
+    pairs = [(term.data["new"], ca.vertcat(local[ValueKind.STATE] + d, new)), (term.data["f"], f)]
     (rows,) = substituted([term.data["rows"]], pairs)
     places = [Address(carried, j) for j in range(m)] + [Address(costate_row, j) for j in range(len(term.rows))]
     out = [(place, 0, rows[j]) for j, place in enumerate(places)]
-    return Spec(1, ca.vertcat(local[Value.STATE], local[Value.ALGEBRAIC]), args.p, args.y, out, old=with_algebraics)
+    return Spec(
+        1, ca.vertcat(local[ValueKind.STATE], local[ValueKind.ALGEBRAIC]), args.p, args.y, out, old=with_algebraics
+    )

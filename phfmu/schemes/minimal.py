@@ -14,7 +14,7 @@ from functools import cache
 
 import casadi as ca
 
-from phfmu.declare.variable import Value
+from phfmu.declare.variable import ValueKind
 from phfmu.plan.address import (
     Address,
     Place,
@@ -84,7 +84,7 @@ def open_costates(terms: Terms) -> list[int]:
     """States whose row of E^T f = grad H is empty: nothing but a closure ties their costates."""
     out = []
     for t in terms.of(CLOSED):
-        e, slope = ca.sparsify(t.data["E"]), ca.gradient(t.data["H"], t.local[Value.STATE])
+        e, slope = ca.sparsify(t.data["E"]), ca.gradient(t.data["H"], t.local[ValueKind.STATE])
         out += [r.index for j, r in enumerate(t.rows) if not e[:, j].nnz() and not ca.sparsify(slope[j]).nnz()]
     return sorted(out)
 
@@ -93,10 +93,10 @@ def prepare(terms: Terms) -> Terms:
     """`terms` with the distances |f2 - z2bar|, and with inputs told apart by whether they are unknowns."""
     marked = []
     for t in terms.terms:
-        bound = tuple(i in terms.bound for i in t.indices(Value.INPUT))
+        bound = tuple(i in terms.bound for i in t.indices(ValueKind.INPUT))
         marked.append(replace(t, key=(t.key, bound), data=t.data | {"bound": bound}) if any(bound) else t)
     near = [
-        Term(NEARNESS, (NEARNESS,), {Value.ALGEBRAIC: ca.SX.sym("a")}, {Value.ALGEBRAIC: (i,)}, {})
+        Term(NEARNESS, (NEARNESS,), {ValueKind.ALGEBRAIC: ca.SX.sym("a")}, {ValueKind.ALGEBRAIC: (i,)}, {})
         for i in range(terms.na)
     ]
     return replace(terms, terms=marked + near)
@@ -169,7 +169,7 @@ def _equation(term: Term, address: Address) -> Address | None:
 
 def _pair(term: Term, at: str) -> Spec:
     """Derivatives of 1/2 |f - zbar|^2, zbar = z at the chosen point, for a pair with its own E."""
-    args, x, n = Arguments(term, 1), term.local[Value.STATE], len(term.rows)
+    args, x, n = Arguments(term, 1), term.local[ValueKind.STATE], len(term.rows)
     d, f = args.matrix(increment, n), args.matrix(own_costate, n)
     (z,) = substituted([term.data["z"]], [(x, x + PART[at] * d)])
     distance = ca.sumsqr(f - z) / 2

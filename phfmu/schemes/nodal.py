@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from phfmu.declare.energy import EnergyKind
-from phfmu.declare.variable import Value
+from phfmu.declare.variable import ValueKind
 from phfmu.gradients import gradients
 from phfmu.gradients.discrete import Summand, node_gradients
 from phfmu.gradients.quadrature import Nodes
@@ -50,10 +50,10 @@ class NodeKernels:
         return [] if build is None else build(term)
 
     def _energy(self, term: Term) -> list[Spec]:
-        args, x, data = Arguments(term, self.k), term.local[Value.STATE], term.data
+        args, x, data = Arguments(term, self.k), term.local[ValueKind.STATE], term.data
         d = args.matrix(increment, x.numel())
         form = term.form_of(EnergyForm)
-        strain = (data["C"], data["phi"], term.local[Value.INVARIANT]) if form.kind is EnergyKind.STRAIN else None
+        strain = (data["C"], data["phi"], term.local[ValueKind.INVARIANT]) if form.kind is EnergyKind.STRAIN else None
         metric = np.array(form.metric) if form.kind is EnergyKind.GENERAL else None
         if form.kind is EnergyKind.QUADRATIC and not self.gradient.startswith("itoh-abe"):
             w, dh = gradients.quadratic(data["H"], data["z"], x, d, self.nodes)
@@ -63,7 +63,7 @@ class NodeKernels:
         return [self._costates(args, w * ca.repmat(data["scale"], 1, self.k), dh, loss)]
 
     def _joint(self, term: Term) -> list[Spec]:
-        args, x = Arguments(term, self.k), term.local[Value.STATE]
+        args, x = Arguments(term, self.k), term.local[ValueKind.STATE]
         d = args.matrix(increment, x.numel())
         w, _ = gradients.joint_gonzalez(term.data["H"], x, d, self.nodes)
         parts = ca.vertsplit(term.data["parts"])
@@ -73,16 +73,16 @@ class NodeKernels:
     def _loss(self, term: Term, d: ca.SX, w: ca.SX, dh: ca.SX) -> ca.SX | None:
         if not self.loses_energy:
             return None
-        return gradients.numerical_loss(term.data["H"], term.local[Value.STATE], d, w, dh, self.nodes)
+        return gradients.numerical_loss(term.data["H"], term.local[ValueKind.STATE], d, w, dh, self.nodes)
 
     def _costates(self, args: Arguments, w: ca.SX, dh: ca.SX | None = None, numerical: ca.SX | None = None) -> Spec:
         out = [(Address(gradient, j, i), 0, w[j, i]) for i in range(self.k) for j in range(w.shape[0])]
         return Spec(0, args.x, args.p, args.y, out, stored=dh, numerical=numerical)
 
     def _closed(self, term: Term) -> list[Spec]:
-        args, x, data = Arguments(term, 1), term.local[Value.STATE], term.data
+        args, x, data = Arguments(term, 1), term.local[ValueKind.STATE], term.data
         d = args.matrix(increment, x.numel())
-        ebar, zbar = substituted([data["ebar"], data["zbar"]], [(term.local[Value.INCREMENT], d)])
+        ebar, zbar = substituted([data["ebar"], data["zbar"]], [(term.local[ValueKind.INCREMENT], d)])
         dh = gradients.difference(data["H"], x, d)
         places = range(x.numel())
         costates = Spec(0, args.x, args.p, args.y, [(Address(gradient, j), 0, zbar[j]) for j in places], stored=dh)
@@ -108,16 +108,16 @@ class NodeKernels:
     def _at_nodes(self, term: Term, args: Arguments) -> tuple[list[list[tuple[ca.SX, ca.SX]]], ca.SX]:
         """Per node the substitution of local symbols by their node values; and the increments (states x k)."""
         nd, local = self.nodes, term.local
-        d = args.matrix(increment, local[Value.STATE].numel()) if Value.STATE in local else EMPTY
-        step = args.symbol(step_size) if Value.TIME in local else None
+        d = args.matrix(increment, local[ValueKind.STATE].numel()) if ValueKind.STATE in local else EMPTY
+        step = args.symbol(step_size) if ValueKind.TIME in local else None
         made = {kind: args.matrix(place, local[kind].numel()) for kind, place in READ.items() if kind in local}
         pairs = []
         for i in range(self.k):
             at = [(local[kind], values[:, i]) for kind, values in made.items()]
-            if Value.STATE in local:
-                at.append((local[Value.STATE], local[Value.STATE] + ca.mtimes(d, ca.DM(nd.a[i]))))
+            if ValueKind.STATE in local:
+                at.append((local[ValueKind.STATE], local[ValueKind.STATE] + ca.mtimes(d, ca.DM(nd.a[i]))))
             if step is not None:
-                at.append((local[Value.TIME], local[Value.TIME] + nd.c[i] * step))
+                at.append((local[ValueKind.TIME], local[ValueKind.TIME] + nd.c[i] * step))
             pairs.append(at)
         return pairs, d
 

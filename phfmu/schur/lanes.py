@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from phfmu.declare.expressions.operations import ANALYTIC, degree
-from phfmu.declare.variable import Value
+from phfmu.declare.variable import ValueKind
 from phfmu.gradients.gradients import stress
 from phfmu.gradients.quadrature import nodes
 from phfmu.plan.differences import Differences, differences
@@ -96,7 +96,7 @@ def require_lanes(kind: str, f: ca.Function) -> None:
 
 
 def _p(term: Term) -> ca.SX:
-    return term.symbols(Value.PARAMETER)
+    return term.symbols(ValueKind.PARAMETER)
 
 
 @dataclass(frozen=True)
@@ -115,7 +115,7 @@ def _singles(n: int) -> Differences:
 
 def constraint(term: Term) -> Lanes:
     """Gradient of g and its derivative along v, both with respect to the coordinates."""
-    q, g = term.local[Value.STATE], term.data["g"]
+    q, g = term.local[ValueKind.STATE], term.data["g"]
     x = differences(ca.Function("g", [q, _p(term)], [g]), 0)
     d, back = x.substitution(q, "d")
     g, v = ca.substitute(g, q, back), ca.SX.sym("v", d.numel())
@@ -125,7 +125,7 @@ def constraint(term: Term) -> Lanes:
 
 def strain(term: Term, k: int) -> Lanes:
     """Gradient of C, the stresses at the k nodes, and C itself, of a term phi(C(q))."""
-    q, s = term.local[Value.STATE], term.local[Value.INVARIANT]
+    q, s = term.local[ValueKind.STATE], term.local[ValueKind.INVARIANT]
     x = differences(ca.Function("C", [q, _p(term)], [term.data["C"]]), 0)
     d, back = x.substitution(q, "d")
     c = ca.substitute(term.data["C"], q, back)
@@ -145,30 +145,30 @@ def _stresses(phi: ca.SX, s: ca.SX, p: ca.SX, k: int) -> LaneKernel:
 
 def potential(term: Term) -> Lanes:
     """Force -DV of a quadratic potential; a constant one is a load."""
-    q = term.local[Value.STATE]
+    q = term.local[ValueKind.STATE]
     force = -ca.gradient(term.data["H"], q)
     if not ca.depends_on(force, q):
         return Lanes((lane_kernel("load", [_p(term)], [force]),), o=_singles(q.numel()))
     x = differences(ca.Function("f", [q, _p(term)], [force]), 0)
-    return _force(term, {Value.STATE: q}, force, x, Differences(()))
+    return _force(term, {ValueKind.STATE: q}, force, x, Differences(()))
 
 
 def flow(term: Term, outputs: Sequence[int]) -> Lanes:
     """The chosen outputs of a flow."""
-    kinds = (Value.STATE, Value.COSTATE, Value.INPUT)
+    kinds = (ValueKind.STATE, ValueKind.COSTATE, ValueKind.INPUT)
     args = {kind: term.local[kind] for kind in kinds if kind in term.local}
     force = ca.vertcat(*(term.data["f"][j] for j in outputs))
     f = ca.Function("f", [*(args.get(kind, EMPTY) for kind in kinds), _p(term)], [force])
     return _force(term, args, force, differences(f, 0), differences(f, 1))
 
 
-def _force(term: Term, args: dict[Value, ca.SX], force: ca.SX, x: Differences, z: Differences) -> Lanes:
+def _force(term: Term, args: dict[ValueKind, ca.SX], force: ca.SX, x: Differences, z: Differences) -> Lanes:
     """A force in the coordinates of its arguments; opposite results become one."""
-    q, v = args.get(Value.STATE, EMPTY), args.get(Value.COSTATE, EMPTY)
+    q, v = args.get(ValueKind.STATE, EMPTY), args.get(ValueKind.COSTATE, EMPTY)
     d, x_back = x.substitution(q, "d")
     e, z_back = z.substitution(v, "e")
     force = ca.substitute([force], [q, v], [x_back, z_back])[0] if q.numel() + v.numel() else force
-    inputs = [d, e, args.get(Value.INPUT, EMPTY), _p(term)]
+    inputs = [d, e, args.get(ValueKind.INPUT, EMPTY), _p(term)]
     o = _opposites(ca.Function("f", inputs, [ca.densify(force)]))
     chosen = ca.vertcat(*(force[plus] for plus, _ in o.pairs))
     return Lanes((lane_kernel("force", inputs, [chosen]),), x, z, o)

@@ -17,7 +17,7 @@ import numpy as np
 
 from phfmu.declare.energy import EnergyKind
 from phfmu.declare.expressions.operations import degree, piecewise
-from phfmu.declare.variable import Value
+from phfmu.declare.variable import ValueKind
 from phfmu.gradients.quadrature import nodes
 from phfmu.plan.differences import StackedFunction
 from phfmu.plan.layout import Layout
@@ -165,8 +165,8 @@ class _Builder:
         if c.row.kind is Row.OUTPUT or balance and row in self.dof:
             return
         _require(balance and row in self.dof_v)
-        dof, costate = self.dof_v[row], c.source.kind is Value.COSTATE
-        if c.source.kind is Value.INPUT:
+        dof, costate = self.dof_v[row], c.source.kind is ValueKind.COSTATE
+        if c.source.kind is ValueKind.INPUT:
             self.load.append((dof, 0, c.source.index, c.value))
         elif costate and c.source.index in self.dof_v:
             self.load.append((dof, 1, self.dof_v[c.source.index], c.value))
@@ -174,18 +174,18 @@ class _Builder:
             _require(costate and c.source.index == self.position[dof] and c.value == -1.0)
 
     def _mass(self, term: Term) -> None:
-        row, m, p = term.rows[0].index, term.data["m"], term.symbols(Value.PARAMETER)
-        _require(row in self.dof_v and not self._once("depends", term, lambda: self._depends(m, term, Value.STATE)))
+        row, m, p = term.rows[0].index, term.data["m"], term.symbols(ValueKind.PARAMETER)
+        _require(row in self.dof_v and not self._once("depends", term, lambda: self._depends(m, term, ValueKind.STATE)))
         if inertia.is_light(term):
             if not self._once("none", term, lambda: lanes.no_mass(term)):
                 self._add(self._once("mass", term, lambda: lanes.mass(term)), term, o=[self.dof_v[row]])
             return
         value = self._once("value", term, lambda: StackedFunction(ca.Function("m", [p], [ca.densify(m)])))
-        _require(bool(value([np.array([self.start[i] for i in term.indices(Value.PARAMETER)], float)])[0] > 0))
+        _require(bool(value([np.array([self.start[i] for i in term.indices(ValueKind.PARAMETER)], float)])[0] > 0))
         self._add(self._once("mass", term, lambda: lanes.mass(term)), term, o=[self.dof_v[row]])
 
     def _energy(self, term: Term) -> None:
-        states = term.indices(Value.STATE)
+        states = term.indices(ValueKind.STATE)
         kind = term.form_of(EnergyForm).kind
         if all(x in self.dof_v for x in states):
             kinetic = kind is EnergyKind.QUADRATIC and self._once("kinetic", term, lambda: self._is_kinetic(term))
@@ -197,41 +197,43 @@ class _Builder:
         if kind is EnergyKind.QUADRATIC:
             return self._add(self._once("potential", term, lambda: lanes.potential(term)), term, x=dofs, o=dofs)
         _require(kind is EnergyKind.STRAIN)
-        _require(not self._once("piecewise", term, lambda: piecewise(term.data["phi"], term.local[Value.INVARIANT])))
+        _require(
+            not self._once("piecewise", term, lambda: piecewise(term.data["phi"], term.local[ValueKind.INVARIANT]))
+        )
         self._add(self._once("strain", term, lambda: lanes.strain(term, self.layout.k)), term, x=dofs)
 
     def _is_kinetic(self, term: Term) -> bool:
         """True if the costates of a term are the velocities themselves, z_v = v."""
-        x = term.local[Value.STATE]
+        x = term.local[ValueKind.STATE]
         defect = ca.gradient(term.data["H"], x) * term.data["scale"] - x
-        f = ca.Function("f", [x, term.symbols(Value.PARAMETER)], [defect])
+        f = ca.Function("f", [x, term.symbols(ValueKind.PARAMETER)], [defect])
         rng = np.random.default_rng(1)
         values = [rng.uniform(0.5, 2.0, f.numel_in(i)) for i in range(2)]
         return bool(np.max(np.abs(np.asarray(f(*values)))) <= 1e-13)
 
     def _flow(self, term: Term) -> None:
         outputs = [j for j, r in enumerate(term.rows) if r.kind is not Row.OUTPUT]
-        _require(all(z in self.dof_v for z in term.indices(Value.COSTATE)))
+        _require(all(z in self.dof_v for z in term.indices(ValueKind.COSTATE)))
         if not outputs:
             return
         _require(all(term.rows[j].kind is Row.BALANCE and term.rows[j].index in self.dof_v for j in outputs))
-        _require(term.local.keys() <= {Value.STATE, Value.COSTATE, Value.INPUT, Value.PARAMETER})
-        _require(all(x in self.dof for x in term.indices(Value.STATE)))
+        _require(term.local.keys() <= {ValueKind.STATE, ValueKind.COSTATE, ValueKind.INPUT, ValueKind.PARAMETER})
+        _require(all(x in self.dof for x in term.indices(ValueKind.STATE)))
         self._add(
             self._once(("flow", *outputs), term, lambda: lanes.flow(term, outputs)), term,
-            x=[self.dof[x] for x in term.indices(Value.STATE)], z=[self.dof_v[z] for z in term.indices(Value.COSTATE)],
-            u=list(term.indices(Value.INPUT)), o=[self.dof_v[term.rows[j].index] for j in outputs],
+            x=[self.dof[x] for x in term.indices(ValueKind.STATE)], z=[self.dof_v[z] for z in term.indices(ValueKind.COSTATE)],
+            u=list(term.indices(ValueKind.INPUT)), o=[self.dof_v[term.rows[j].index] for j in outputs],
         )  # fmt: skip
 
     def _constraint(self, term: Term) -> None:
         if term.rows[0].index in self.resting:
             return
-        _require(term.local.keys() <= {Value.STATE, Value.PARAMETER})
-        _require(self._once("degree", term, lambda: degree(term.data["g"], term.local[Value.STATE])) in (1, 2))
+        _require(term.local.keys() <= {ValueKind.STATE, ValueKind.PARAMETER})
+        _require(self._once("degree", term, lambda: degree(term.data["g"], term.local[ValueKind.STATE])) in (1, 2))
         known = self._once("constraint", term, lambda: lanes.constraint(term))
-        self._add(known, term, x=[self.dof[x] for x in term.index[Value.STATE]], multiplier=term.rows[0].index)
+        self._add(known, term, x=[self.dof[x] for x in term.index[ValueKind.STATE]], multiplier=term.rows[0].index)
 
-    def _depends(self, expr: ca.SX, term: Term, kind: Value) -> bool:
+    def _depends(self, expr: ca.SX, term: Term, kind: ValueKind) -> bool:
         return kind in term.local and ca.depends_on(expr, term.local[kind])
 
     def _once(self, what: Hashable, term: Term, make: Callable[[], Made]) -> Made:
@@ -244,7 +246,7 @@ class _Builder:
     def _add(self, made: Lanes, term: Term, *, x=(), z=(), u=(), o=(), multiplier: int = -1) -> None:
         g = self.groups.setdefault(tuple(k.name for k in made.kernels), Instances(made.kernels))
         ends = (made.x.globally(x), made.z.globally(z), made.o.globally(o))
-        g.add(*ends, list(u), list(term.indices(Value.PARAMETER)), multiplier)
+        g.add(*ends, list(u), list(term.indices(ValueKind.PARAMETER)), multiplier)
 
     # -- tables -----------------------------------------------------------------------------------------------------
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from math import isclose, isfinite
 
 from phfmu.declare.expressions.units import BASE, UnitError, parse_unit
-from phfmu.declare.expressions.units import Unit as Defined
+from phfmu.declare.expressions.units import PhysicalUnit as Defined
 from phfmu.fmu.words import plain
 from phfmu.fmu.xml import Element, etree, number
 from phfmu.ssp.names import tag

@@ -17,7 +17,7 @@ from functools import cached_property, partial
 import casadi as ca
 import numpy as np
 
-from phfmu.declare.variable import Value
+from phfmu.declare.variable import ValueKind
 from phfmu.terms.canonical import Locator, components, make_term, scalars
 from phfmu.terms.hidden import HiddenConstraints
 from phfmu.terms.located import Row, RowAt
@@ -199,9 +199,9 @@ class BareRows:
         return Locator(self.terms.model, self.terms.pairs)
 
     @cached_property
-    def _starts(self) -> dict[Value, list[float]]:
+    def _starts(self) -> dict[ValueKind, list[float]]:
         model = self.terms.model
-        of = {Value.STATE: model.states, Value.PARAMETER: model.parameters}
+        of = {ValueKind.STATE: model.states, ValueKind.PARAMETER: model.parameters}
         return {kind: [x for v in variables for x in v.start] for kind, variables in of.items()}
 
     def _at_start(self, expr: ca.SX) -> np.ndarray:

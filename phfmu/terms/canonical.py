@@ -11,7 +11,7 @@ import casadi as ca
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import Port
-from phfmu.declare.variable import Value, Variable, time
+from phfmu.declare.variable import ValueKind, Variable, time
 from phfmu.terms.located import RowAt, ValueAt
 from phfmu.terms.term import PortPair, Term, TermKind
 
@@ -22,17 +22,21 @@ class Locator:
     def __init__(self, model: PHDAE, pairs: Sequence[PortPair]):
         #: terms made of expressions, by the form of these: once per kind
         self.known: dict[Hashable, Any] = {}
-        self.where: dict[int, ValueAt] = {time.element_hash(): ValueAt(Value.TIME, 0)}
-        owners = ((Value.STATE, model.states), (Value.ALGEBRAIC, model.algebraics), (Value.PARAMETER, model.parameters))
+        self.where: dict[int, ValueAt] = {time.element_hash(): ValueAt(ValueKind.TIME, 0)}
+        owners = (
+            (ValueKind.STATE, model.states),
+            (ValueKind.ALGEBRAIC, model.algebraics),
+            (ValueKind.PARAMETER, model.parameters),
+        )
         for kind, variables in owners:
             for i, s in enumerate(s for v in variables for s in scalars(v.sx)):
                 self.where[s.element_hash()] = ValueAt(kind, i)
         for i, z in enumerate(z for v in model.states for z in scalars(v.z)):
-            self.where[z.element_hash()] = ValueAt(Value.COSTATE, i)
+            self.where[z.element_hash()] = ValueAt(ValueKind.COSTATE, i)
         for i, pair in enumerate(pairs):
-            self.where[pair.port.u[pair.j].element_hash()] = ValueAt(Value.INPUT, i)
+            self.where[pair.port.u[pair.j].element_hash()] = ValueAt(ValueKind.INPUT, i)
 
-    def also(self, symbols: ca.SX, kind: Value, indices: Iterable[int]) -> Locator:
+    def also(self, symbols: ca.SX, kind: ValueKind, indices: Iterable[int]) -> Locator:
         """This locator with the entries of `symbols` besides."""
         out = Locator.__new__(Locator)
         out.where, out.known = dict(self.where), self.known
@@ -65,20 +69,20 @@ class Reading:
     """
 
     form: Hashable
-    symbols: dict[Value, list[ca.SX]]
-    index: dict[Value, tuple[int, ...]]
+    symbols: dict[ValueKind, list[ca.SX]]
+    index: dict[ValueKind, tuple[int, ...]]
 
 
 def read(exprs: Sequence[ca.SX], locator: Locator, context: str, extra: Sequence[ca.SX] = ()) -> Reading:
     """The form of `exprs` and where their symbols live; `extra` symbols (scalars) are listed first even if they do not occur."""
-    found: dict[Value, dict[int, ca.SX]] = {}
+    found: dict[ValueKind, dict[int, ca.SX]] = {}
     plain = _symbols(exprs)
     f = ca.Function("f", [], exprs, {"allow_free": True}) if plain is None else None
     met: Any = plain if f is None else f.free_sx()  # in the order of the operations that read them
     free = [locator.find(s, context) for s in met]
     for s, at in zip([*extra, *met], [*(locator.find(s, context) for s in extra), *free], strict=True):
         found.setdefault(at.kind, {}).setdefault(at.index, s)
-    found = {kind: found[kind] for kind in Value if kind in found}
+    found = {kind: found[kind] for kind in ValueKind if kind in found}
     symbols = {kind: list(of.values()) for kind, of in found.items()}
     index = {kind: tuple(of) for kind, of in found.items()}
     counts = tuple((kind, len(of)) for kind, of in symbols.items())

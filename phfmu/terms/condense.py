@@ -19,7 +19,7 @@ from typing import Any
 
 import casadi as ca
 
-from phfmu.declare.variable import Value
+from phfmu.declare.variable import ValueKind
 from phfmu.terms.hidden import HiddenConstraints, variable_at
 from phfmu.terms.located import Constant, Row, RowAt, ValueAt
 from phfmu.terms.term import EMPTY, FLOW, OBSERVABLE, Term, Terms
@@ -69,10 +69,12 @@ class _RowSums:
 
     def _source(self, source: ValueAt) -> ValueAt:
         variable = variable_at(source, self.bound)
-        return source if variable is None else ValueAt(Value.ALGEBRAIC, variable)
+        return source if variable is None else ValueAt(ValueKind.ALGEBRAIC, variable)
 
     def _read(self, i: int, t: Term) -> None:
-        read = {variable_at(ValueAt(k, j), self.bound) for k in (Value.ALGEBRAIC, Value.INPUT) for j in t.indices(k)}
+        read = {
+            variable_at(ValueAt(k, j), self.bound) for k in (ValueKind.ALGEBRAIC, ValueKind.INPUT) for j in t.indices(k)
+        }
         if t.kind is FLOW:
             for variable in read - {None}:
                 self.readers[variable].add(i)  # type: ignore[index]
@@ -89,7 +91,7 @@ class _RowSums:
             entries[source] = total
         else:
             entries.pop(source, None)
-        if source.kind is Value.ALGEBRAIC:
+        if source.kind is ValueKind.ALGEBRAIC:
             if total:
                 self.users[source.index][row] = None
             else:
@@ -109,7 +111,7 @@ class _RowSums:
     def _taken(self, r: int) -> bool:
         for source in list(self.entries[RowAt(Row.EQUATION, r)]):
             a = source.index
-            if source.kind is Value.ALGEBRAIC and a in self._rows and self._gives(r, a) and self._gives(a, r):
+            if source.kind is ValueKind.ALGEBRAIC and a in self._rows and self._gives(r, a) and self._gives(a, r):
                 self._put_in(r, a)
                 self._put_in(a, r)
                 return True
@@ -120,21 +122,21 @@ class _RowSums:
         longer than by what is taken out of it."""
         row = RowAt(Row.EQUATION, r)
         entries, flows = self.entries[row], self.flows[row]
-        if variable not in self._variables or abs(entries.get(ValueAt(Value.ALGEBRAIC, variable), 0.0)) != 1.0:
+        if variable not in self._variables or abs(entries.get(ValueAt(ValueKind.ALGEBRAIC, variable), 0.0)) != 1.0:
             return False
-        if ValueAt(Value.ALGEBRAIC, r) in entries or (flows and self.readers[variable]):
+        if ValueAt(ValueKind.ALGEBRAIC, r) in entries or (flows and self.readers[variable]):
             return False
         uses = len(self.readers[variable]) + sum(t.kind is not Row.CONDENSED for t in self.users[variable]) - 1
         return min(len(entries) + len(flows) - 1, uses) <= 1
 
     def _put_in(self, r: int, variable: int) -> None:
         """variable = -(the rest of row r) / its factor, in all rows and values that have it."""
-        row, source = RowAt(Row.EQUATION, r), ValueAt(Value.ALGEBRAIC, variable)
+        row, source = RowAt(Row.EQUATION, r), ValueAt(ValueKind.ALGEBRAIC, variable)
         factor = self.entries[row][source]
         self._add(row, source, -factor)
         entries, flows = self.entries.pop(row), self.flows.pop(row)
         for other in entries:
-            if other.kind is Value.ALGEBRAIC:
+            if other.kind is ValueKind.ALGEBRAIC:
                 self.users[other.index].pop(row)
                 self.readers[other.index] |= self.readers[variable]
         own = self.given[variable] = RowAt(Row.CONDENSED, variable)
@@ -180,8 +182,8 @@ class _FlowArguments:
     """
 
     def __init__(self, term: Term, rows: _RowSums):
-        self.index: dict[Value, list[int]] = {}
-        self.places: dict[tuple[Value, int], tuple[tuple[float, Value, int], ...]] = {}
+        self.index: dict[ValueKind, list[int]] = {}
+        self.places: dict[tuple[ValueKind, int], tuple[tuple[float, ValueKind, int], ...]] = {}
         self.changed = False
         replaced = []
         for kind, indices in term.index.items():
@@ -203,7 +205,7 @@ class _FlowArguments:
             found.append(source.index)
         return found.index(source.index)
 
-    def values(self, term: Term, local: dict[Value, ca.SX]) -> tuple[list[ca.SX], list[ca.SX]]:
+    def values(self, term: Term, local: dict[ValueKind, ca.SX]) -> tuple[list[ca.SX], list[ca.SX]]:
         """Old local symbols, and the expressions that stand for them."""
         old, new = [], []
         for (kind, j), parts in self.places.items():
@@ -241,6 +243,6 @@ def _term(
     return replace(known[key], index=index, rows=tuple(order), owner=t.owner)
 
 
-def _plain(places: dict[tuple[Value, int], tuple[tuple[float, Value, int], ...]]) -> Iterable[tuple[Any, ...]]:
+def _plain(places: dict[tuple[ValueKind, int], tuple[tuple[float, ValueKind, int], ...]]) -> Iterable[tuple[Any, ...]]:
     """The places in words that can be sorted."""
     return ((kind.value, j, tuple((f, k.value, n) for f, k, n in parts)) for (kind, j), parts in places.items())

@@ -13,7 +13,7 @@ from enum import StrEnum
 
 import casadi as ca
 
-from phfmu.declare.variable import Value
+from phfmu.declare.variable import ValueKind
 from phfmu.matching import maximum_matching
 from phfmu.terms.located import Row, RowAt, ValueAt
 from phfmu.terms.term import FLOW, Term, Terms
@@ -54,15 +54,15 @@ class Check:
 
 def variable_at(at: ValueAt, bound: dict[int, int]) -> int | None:
     """The algebraic variable of a value: itself, or the one that feeds an input."""
-    if at.kind is Value.INPUT:
+    if at.kind is ValueKind.INPUT:
         return bound.get(at.index)
-    return at.index if at.kind is Value.ALGEBRAIC else None
+    return at.index if at.kind is ValueKind.ALGEBRAIC else None
 
 
 def contained(term: Term, j: int, bound: dict[int, int]) -> dict[ValueAt, int]:
     """Algebraic variables in output j of a flow term: local place -> variable."""
     found = {}
-    for kind in (Value.ALGEBRAIC, Value.INPUT):
+    for kind in (ValueKind.ALGEBRAIC, ValueKind.INPUT):
         for i, source in enumerate(term.index.get(kind, ())):
             variable = variable_at(ValueAt(kind, source), bound)
             if variable is not None and ca.depends_on(term.data["f"][j], term.local[kind][i]):
@@ -100,7 +100,7 @@ def hidden_rows(terms: Terms) -> HiddenConstraints:
 
 def _pattern(t: Term, bound: dict[int, int], known: dict) -> list[list[ValueAt]]:
     """Per output the places of algebraic variables; the same for all terms of one kind and binding."""
-    key = (t.key, tuple(i in bound for i in t.indices(Value.INPUT)))
+    key = (t.key, tuple(i in bound for i in t.indices(ValueKind.INPUT)))
     if key not in known:
         known[key] = [list(contained(t, j, bound)) for j in range(len(t.rows))]
     return known[key]

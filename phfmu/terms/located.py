@@ -9,7 +9,7 @@ from __future__ import annotations
 from enum import Enum
 from typing import NamedTuple
 
-from phfmu.declare.variable import Value
+from phfmu.declare.variable import ValueKind
 
 
 class Row(Enum):
@@ -28,7 +28,7 @@ class Row(Enum):
 class ValueAt(NamedTuple):
     """The value number `index` of its kind."""
 
-    kind: Value
+    kind: ValueKind
     index: int
 
 
@@ -48,5 +48,5 @@ class Constant(NamedTuple):
 
 
 #: the row that belongs to a variable of J, R or B, and the effort that its column multiplies
-ROW_OF = {Value.STATE: Row.BALANCE, Value.ALGEBRAIC: Row.EQUATION, Value.INPUT: Row.OUTPUT}
-EFFORT_OF = {Row.BALANCE: Value.COSTATE, Row.EQUATION: Value.ALGEBRAIC, Row.OUTPUT: Value.INPUT}
+ROW_OF = {ValueKind.STATE: Row.BALANCE, ValueKind.ALGEBRAIC: Row.EQUATION, ValueKind.INPUT: Row.OUTPUT}
+EFFORT_OF = {Row.BALANCE: ValueKind.COSTATE, Row.EQUATION: ValueKind.ALGEBRAIC, Row.OUTPUT: ValueKind.INPUT}

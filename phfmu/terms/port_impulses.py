@@ -19,7 +19,7 @@ import casadi as ca
 import numpy as np
 
 from phfmu.declare.phdae import PHDAE
-from phfmu.declare.variable import Value, time
+from phfmu.declare.variable import ValueKind, time
 from phfmu.terms.bare import depends
 from phfmu.terms.canonical import components
 from phfmu.terms.extraction.extract import extract
@@ -175,9 +175,9 @@ def masses(terms: Terms) -> ca.SX:
     """The diagonal of E (n1), 1 where it is none."""
     out, p = ca.SX.ones(terms.n1), ca.vertcat(*(v.sx for v in terms.model.parameters))
     for t in terms.of(MASS):
-        local, m = t.symbols(Value.PARAMETER), t.data["m"]
+        local, m = t.symbols(ValueKind.PARAMETER), t.data["m"]
         at = t.rows[0].index
-        out[at] = ca.substitute([m], [local], [p[list(t.index[Value.PARAMETER])]])[0] if local.numel() else m
+        out[at] = ca.substitute([m], [local], [p[list(t.index[ValueKind.PARAMETER])]])[0] if local.numel() else m
     return out
 
 
@@ -186,8 +186,8 @@ def mass_values(terms: Terms, masses: Iterable[Term]) -> dict[int, float]:
     masses = list(masses)
     p, found = np.array([s for v in terms.model.parameters for s in v.start], float), dict[int, float]()
     for own in by_kind(masses):
-        f = ca.Function("m", [own[0].symbols(Value.PARAMETER)], [ca.densify(own[0].data["m"])])
-        values = np.array(f(gathered(p, own, Value.PARAMETER))).ravel()
+        f = ca.Function("m", [own[0].symbols(ValueKind.PARAMETER)], [ca.densify(own[0].data["m"])])
+        values = np.array(f(gathered(p, own, ValueKind.PARAMETER))).ravel()
         found |= {t.rows[0].index: m for t, m in zip(own, values.tolist(), strict=True)}
     return {i: found[i] for i in (t.rows[0].index for t in masses)}
 
@@ -198,7 +198,7 @@ def constrained(terms: Terms) -> dict[int, str]:
     holonomic = {t.rows[0].index: t for t in terms.of(CONSTRAINT)}
     out, velocity = {}, velocity_of(terms)
     for row, t in holonomic.items():
-        for q in t.indices(Value.STATE):
+        for q in t.indices(ValueKind.STATE):
             out |= {q: names[row], velocity[q]: names[row]}
     rows = sorted(terms.found(HiddenConstraints).rows - holonomic.keys())
     if rows:

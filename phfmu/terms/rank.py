@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.declare.variable import Value
+from phfmu.declare.variable import ValueKind
 from phfmu.terms.term import CONSTRAINT, Term, Terms, by_kind, gathered
 from phfmu.terms.velocities import velocity_of
 from phfmu.words import folded
@@ -201,7 +201,7 @@ def constraint_jacobian(terms: Terms) -> csc_matrix:
     velocity = velocity_of(terms)
     entries = [(r, velocity[q], value)
                for r, (t, (_, grad)) in enumerate(_evaluated(terms))
-               for q, value in zip(t.index[Value.STATE], grad, strict=True)]  # fmt: skip
+               for q, value in zip(t.index[ValueKind.STATE], grad, strict=True)]  # fmt: skip
     row, col, value = zip(*entries, strict=True) if entries else ((), (), ())
     count = len(terms.of(CONSTRAINT))
     return csc_matrix((value, (row, col)), shape=(count, terms.n1))
@@ -228,10 +228,10 @@ def _evaluated(terms: Terms) -> list[tuple[Term, tuple[float, Array]]]:
     found: dict[int, tuple[float, Array]] = {}
     for own in by_kind(terms.of(CONSTRAINT)):
         t = own[0]
-        symbols = [t.local[Value.STATE], t.symbols(Value.PARAMETER), t.symbols(Value.TIME)]
+        symbols = [t.local[ValueKind.STATE], t.symbols(ValueKind.PARAMETER), t.symbols(ValueKind.TIME)]
         f = ca.Function("g", symbols, [t.data["g"], ca.densify(ca.gradient(t.data["g"], symbols[0]))])
         time = np.zeros((symbols[2].numel(), len(own)))
-        values = f(gathered(x, own, Value.STATE), gathered(p, own, Value.PARAMETER), time)
+        values = f(gathered(x, own, ValueKind.STATE), gathered(p, own, ValueKind.PARAMETER), time)
         g, grad = (np.array(v.full()) for v in values)
         found |= {id(t): (float(g[0, i]), grad[:, i].copy()) for i, t in enumerate(own)}
     return [(t, found[id(t)]) for t in terms.of(CONSTRAINT)]

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.declare.variable import Value
+from phfmu.declare.variable import ValueKind
 from phfmu.terms.hidden import contained, variable_at
 from phfmu.terms.located import Row
 from phfmu.terms.term import CLOSED, CONSTRAINT, FLOW, MASS_BLOCK, Term, Terms
@@ -27,7 +27,7 @@ def moved_by_impulses(terms: Terms) -> NDArray[np.bool_]:
         moved[[r.index for r in reached]] = True
     velocity = velocity_of(terms)
     for t in terms.of(CONSTRAINT):
-        moved[[velocity[q] for q in t.index[Value.STATE]]] = True
+        moved[[velocity[q] for q in t.index[ValueKind.STATE]]] = True
     blocks = [_coupling(t) for t in terms.of(MASS_BLOCK, CLOSED)]
     found = -1
     while found != moved.sum():

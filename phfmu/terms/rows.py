@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import casadi as ca
 
 from phfmu.declare.phdae import PHDAE
-from phfmu.declare.variable import Value, time
+from phfmu.declare.variable import ValueKind, time
 from phfmu.terms.extraction.extract_energy import all_divided
 from phfmu.terms.hidden import Check, HiddenConstraints, Level
 from phfmu.terms.located import Row
@@ -49,7 +49,11 @@ def _expressions(terms: Terms, kind: Row, rows: Iterable[int], z: ca.SX, u: ca.S
     found = {r: ca.SX(0) for r in rows}
     p = ca.vertcat(*(v.sx for v in model.parameters))
     a = ca.vertcat(*(v.sx for v in model.algebraics))
-    read = {Value.COSTATE: z.__getitem__, Value.ALGEBRAIC: a.__getitem__, Value.INPUT: lambda i: _input(i, u, a, bound)}
+    read = {
+        ValueKind.COSTATE: z.__getitem__,
+        ValueKind.ALGEBRAIC: a.__getitem__,
+        ValueKind.INPUT: lambda i: _input(i, u, a, bound),
+    }
     for c in terms.constants:
         if c.row.kind is kind and c.row.index in found:
             found[c.row.index] += c.value * read[c.source.kind](c.source.index)
@@ -82,12 +86,16 @@ def check_rows(terms: Terms, checks: list[Check], z: ca.SX | None = None) -> lis
     out, velocity = [ca.SX(0) for _ in checks], velocity_of(terms)
     for own in by_kind(terms.of(CONSTRAINT)):
         first = own[0]
-        g, q, t = first.data["g"], first.local[Value.STATE], first.symbols(Value.TIME)
+        g, q, t = first.data["g"], first.local[ValueKind.STATE], first.symbols(ValueKind.TIME)
         v, moving = ca.SX.sym("v", q.numel()), ca.gradient(g, t) if t.numel() else ca.SX(0)
-        local = [q, v, first.symbols(Value.PARAMETER), t]
+        local = [q, v, first.symbols(ValueKind.PARAMETER), t]
         f = ca.Function("g", local, [ca.densify(g), ca.densify(ca.dot(ca.gradient(g, q), v) + moving)])
-        at = ca.SX(z[[velocity[i] for c in own for i in c.index[Value.STATE]]])
-        given = [gathered(x, own, Value.STATE), ca.reshape(at, q.numel(), len(own)), gathered(p, own, Value.PARAMETER)]
+        at = ca.SX(z[[velocity[i] for c in own for i in c.index[ValueKind.STATE]]])
+        given = [
+            gathered(x, own, ValueKind.STATE),
+            ca.reshape(at, q.numel(), len(own)),
+            gathered(p, own, ValueKind.PARAMETER),
+        ]
         positions, velocities = f.call([*given, ca.repmat(time, t.numel(), len(own))])
         for c, value, rate in zip(own, ca.horzsplit(positions), ca.horzsplit(velocities), strict=True):
             rows[c.rows[0].index] += rate
@@ -121,9 +129,9 @@ def costates(terms: Terms) -> ca.SX:
     p = ca.vertcat(*(v.sx for v in model.parameters))
     where, masses = [], []
     for t in terms.of(MASS):
-        local, m = t.symbols(Value.PARAMETER), t.data["m"]
+        local, m = t.symbols(ValueKind.PARAMETER), t.data["m"]
         if local.numel():
-            own = p[list(t.index[Value.PARAMETER])]
+            own = p[list(t.index[ValueKind.PARAMETER])]
             m = own if m.is_symbolic() else ca.substitute([m], [local], [own])[0]
         where.append(t.rows[0].index)
         masses.append(m)
@@ -148,15 +156,20 @@ def _globals(
 ) -> tuple[list[ca.SX], list[ca.SX]]:
     """Old and new symbols that bring a local expression back to the model's; free inputs become those of `u`, or 0."""
     old, new = [], []
-    for kind, source in ((Value.STATE, x), (Value.COSTATE, z), (Value.PARAMETER, p), (Value.ALGEBRAIC, a)):
+    for kind, source in (
+        (ValueKind.STATE, x),
+        (ValueKind.COSTATE, z),
+        (ValueKind.PARAMETER, p),
+        (ValueKind.ALGEBRAIC, a),
+    ):
         if kind in t.local:
             old.append(t.local[kind])
             new.append(source[list(t.index[kind])])
-    if Value.TIME in t.local:
-        old.append(t.local[Value.TIME])
+    if ValueKind.TIME in t.local:
+        old.append(t.local[ValueKind.TIME])
         new.append(time)
-    if Value.INPUT in t.local:
-        old.append(t.local[Value.INPUT])
-        free = ca.SX.zeros(1 + max(t.index[Value.INPUT])) if u is None else u
-        new.append(ca.vertcat(*(_input(i, free, a, bound) for i in t.index[Value.INPUT])))
+    if ValueKind.INPUT in t.local:
+        old.append(t.local[ValueKind.INPUT])
+        free = ca.SX.zeros(1 + max(t.index[ValueKind.INPUT])) if u is None else u
+        new.append(ca.vertcat(*(_input(i, free, a, bound) for i in t.index[ValueKind.INPUT])))
     return old, new

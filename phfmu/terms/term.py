@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from phfmu.declare.energy import EnergyKind
 from phfmu.declare.phdae import ACCOUNT, PHDAE
 from phfmu.declare.port import Port
-from phfmu.declare.variable import Value
+from phfmu.declare.variable import ValueKind
 from phfmu.terms.located import Constant, RowAt
 
 #: no symbols
@@ -76,8 +76,8 @@ class Term:
 
     kind: TermKind
     key: tuple[Any, ...]
-    local: dict[Value, ca.SX]
-    index: dict[Value, tuple[int, ...]]
+    local: dict[ValueKind, ca.SX]
+    index: dict[ValueKind, tuple[int, ...]]
     data: dict[str, Any]
     rows: tuple[RowAt, ...] = ()
     owner: int = 0
@@ -88,11 +88,11 @@ class Term:
         assert isinstance(self.form, kind)
         return self.form
 
-    def symbols(self, kind: Value) -> ca.SX:
+    def symbols(self, kind: ValueKind) -> ca.SX:
         """Local symbols of a kind, none where it has none."""
         return self.local.get(kind, EMPTY)
 
-    def indices(self, kind: Value) -> tuple[int, ...]:
+    def indices(self, kind: ValueKind) -> tuple[int, ...]:
         """Global indices of a kind."""
         return self.index.get(kind, ())
 
@@ -105,7 +105,7 @@ def by_kind(terms: Iterable[Term]) -> list[list[Term]]:
     return list(found.values())
 
 
-def gathered(values: NDArray[np.float64] | ca.SX, terms: Sequence[Term], kind: Value) -> Any:
+def gathered(values: NDArray[np.float64] | ca.SX, terms: Sequence[Term], kind: ValueKind) -> Any:
     """Columns, one for each of some terms of equal key, of the entries of `values` (of one kind) on which they act."""
     where = np.array([t.indices(kind) for t in terms], np.int64).reshape(len(terms), -1)
     if isinstance(values, ca.SX):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from phfmu.declare.variable import Value
+from phfmu.declare.variable import ValueKind
 from phfmu.terms.located import Constant, Row
 from phfmu.terms.term import Terms
 
@@ -31,5 +31,5 @@ def velocities(terms: Terms) -> Velocities:
             rows.setdefault(c.row.index, []).append(c)
     single = {q: found[0] for q, found in rows.items() if len(found) == 1 and q not in other}
     return Velocities(
-        {q: c.source.index for q, c in single.items() if c.source.kind is Value.COSTATE and c.value == 1.0}
+        {q: c.source.index for q, c in single.items() if c.source.kind is ValueKind.COSTATE and c.value == 1.0}
     )

@@ -28,7 +28,7 @@ from phfmu.cli import main
 from phfmu.components.electrical.machines.dc_motor import dc_motor
 from phfmu.components.library import LIBRARY, build
 from phfmu.components.mechanical.net import net
-from phfmu.declare.expressions.dimension import JOULE, Dimension, Walk, of_unit
+from phfmu.declare.expressions.dimension import JOULE, Dimension, DimensionAnalysis, of_unit
 from phfmu.declare.expressions.units import unit_text
 from tests.wide import wide
 
@@ -161,10 +161,10 @@ def test_algebra():
     known = {a.element_hash(): of_unit("V"), b.element_hash(): of_unit("A")}
     for expr, unit in ((a * b, "W"), (a / b, "ohm"), (ca.sqrt(a * a), "V"), (ca.atan2(a, a * 2), "1"),
                        (ca.if_else(a > 1, b, 0), "A"), (ca.fabs(-a) + 2, "V"), (1 / (a / b), "S")):  # fmt: skip
-        walk = Walk(expr, known)
+        walk = DimensionAnalysis(expr, known)
         (found,) = walk.entries()
         assert isinstance(found, Dimension) and found.fits(of_unit(unit)) and not walk.clashes
         assert str(found) == unit
-    walk = Walk(ca.fmax(a, b), known)
+    walk = DimensionAnalysis(ca.fmax(a, b), known)
     assert walk.entries() == [None] and walk.clashes == ["it compares V and A"]
     assert str(JOULE.to_the(Fraction(1, 2))) == "kg1/2.m/s" and unit_text(JOULE.exponents, 1e-3) == "mJ"

@@ -34,7 +34,7 @@ from phfmu.components.control import exac1, gast, hygov, ieeest, ieeex1, pss1a, 
 from phfmu.components.electrical.machines.dc_motor import dc_motor
 from phfmu.components.library import LIBRARY, build
 from phfmu.components.mechanical.net import net
-from phfmu.declare.entries.parameter_limits import Limit, limits
+from phfmu.declare.entries.parameter_limits import ParameterLimit, limits
 from phfmu.fmu.export.description import ExportedUnit
 from phfmu.fmu.version import VERSIONS
 
@@ -281,4 +281,4 @@ def test_a_unit_refuses_parameters_outside_their_limits(tmp_path: Path):
 
 
 def test_text_of_a_limit():
-    assert str(Limit(0.0, 3.0, above=True)) == "above 0 and at most 3"
+    assert str(ParameterLimit(0.0, 3.0, above=True)) == "above 0 and at most 3"

@@ -12,9 +12,9 @@ import phfmu as ph
 from phfmu import Event, NativeInstance, Options, PythonInstance, build_model, run
 from phfmu.cli import main
 from phfmu.components.library import LIBRARY, build
-from phfmu.derivatives.by import By
+from phfmu.derivatives.by import IndependentVariables
 from phfmu.derivatives.sensitive import SensitiveSteps
-from phfmu.derivatives.tangents import Tangents
+from phfmu.derivatives.tangents import RunTangents
 from phfmu.discretise.start import project_start
 from phfmu.engine.switched import stepped
 from phfmu.results.file import open_result
@@ -122,10 +122,10 @@ def test_tangents_of_a_projected_start(moved: bool) -> None:
     """Against differences of projections, also of a start that the projection has moved."""
     model = build_model(declared("pendulum"))
     names = [n for v in model.declaration.parameters for n in v.names()]
-    by = By.of(model.declaration, ["bar.length", "q[1]"])
+    by = IndependentVariables.of(model.declaration, ["bar.length", "q[1]"])
     given = model.x0 + (np.array([0.03, 0.01, 0.2, 0.0]) if moved else 0.0)
     start = project_start(model, given).x if moved else given
-    tangents = Tangents(model, by)
+    tangents = RunTangents(model, by)
     instance = PythonInstance(model)
     instance.set_x(0.0, start)
     instance.initialise()

@@ -22,7 +22,7 @@ from phfmu import (
     skew,
     state,
 )
-from phfmu.declare.variable import Value
+from phfmu.declare.variable import ValueKind
 from phfmu.gradients.gradient_names import GRADIENTS
 from phfmu.gradients.quadrature import nodes
 from phfmu.plan import address
@@ -78,14 +78,14 @@ def rows(name: str, k: int):
     (term,) = (t for t in extract(model).terms if t.kind is CONSTRAINT)
     (spec,) = constraints.collocated(term, nodes(k))
     symbols, expr = dict(spec.y), {a: e for a, _, e in spec.out}
-    place = {j: i for i, j in enumerate(term.index[Value.STATE])}
+    place = {j: i for i, j in enumerate(term.index[ValueKind.STATE])}
     z, d = (ca.SX(N, k) for _ in range(2))
     for j, i in itertools.product(range(N), range(k)):
         z[j, i] = symbols[Address(velocity_costate, place[j], i)]
         d[j, i] = symbols[Address(address.increment, place[j], i)]
     G = ca.horzcat(*(-ca.gradient(expr[Address(address.row, 0, i)], z[:, i]) for i in range(k)))
     x, coefficient = spec.x[[place[j] for j in range(N)]], ca.SX.sym("p", P.numel())
-    used = term.indices(Value.PARAMETER)
+    used = term.indices(ValueKind.PARAMETER)
     (G,) = ca.substitute([G], [spec.p], [coefficient[list(used)]]) if used else (G,)
     slope = ca.jacobian(ca.vec(G), ca.vec(d))
     return ca.Function("g", [x, d, coefficient], [G, slope]), ca.Function("g", [X, P], [CONSTRAINTS[name]])

@@ -13,7 +13,7 @@ import phfmu as ph
 from phfmu import PHDAE, Collocated, DeclarationError, block, build_model, energy
 from phfmu.components.library import build
 from phfmu.components.mechanical.translational import mass, spring
-from phfmu.declare.variable import Value
+from phfmu.declare.variable import ValueKind
 from phfmu.discretise.onestep import step_layout
 from phfmu.plan import ordering
 from phfmu.plan.address import Address, increment, row
@@ -137,7 +137,7 @@ def test_equal_kernels_with_other_powers_of_h_are_groups_of_their_own() -> None:
     """A damper's -z on a state goes with h, an equal kernel on an algebraic row does not: names do not tell them apart."""
     scheme = Collocated(1)
     layout = step_layout(extract(build("mass")), scheme)
-    flow = next(t for t in layout.terms.terms if scheme.specs(t) and t.index.get(Value.STATE))
+    flow = next(t for t in layout.terms.terms if scheme.specs(t) and t.index.get(ValueKind.STATE))
 
     def spec(power: int) -> Spec:
         args = Arguments(flow, 1)

@@ -39,7 +39,7 @@ from phfmu.checks.sample import Sample
 from phfmu.components.mechanical.chain import chain
 from phfmu.components.mechanical.multibody import Multibody
 from phfmu.declare.entries.entries import Entries, normal_form
-from phfmu.declare.variable import Value
+from phfmu.declare.variable import ValueKind
 from phfmu.discretise.accounts import by_term
 from phfmu.terms.extraction.extract import extract
 from phfmu.terms.term import FLOW
@@ -129,7 +129,7 @@ def losses(form: str) -> np.ndarray:
         g = np.array([*(q[:2] - q[2:]), *(q[2:] - q[:2])])
         z -= g * (g @ z) / (g @ g)
         # positions are the first states, velocities and their costates the others; c is the last parameter
-        values = {Value.STATE: [*q, *z], Value.COSTATE: [*q, *z], Value.PARAMETER: [1.0, 1.0, 1.0, C]}
+        values = {ValueKind.STATE: [*q, *z], ValueKind.COSTATE: [*q, *z], ValueKind.PARAMETER: [1.0, 1.0, 1.0, C]}
         found.append(float(loss(*([values[kind][i] for i in term.index[kind]] for kind in term.local))))
     return np.array(found)
 

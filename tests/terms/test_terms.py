@@ -10,7 +10,7 @@ import pytest
 
 import phfmu
 from phfmu.components.library import build
-from phfmu.declare.variable import Value
+from phfmu.declare.variable import ValueKind
 from phfmu.schemes.collocated import Collocated
 from phfmu.schemes.constraints.impulses import Impulses
 from phfmu.schemes.two_level import TwoLevel
@@ -33,13 +33,13 @@ def particles() -> Terms:
 
 def test_terms_and_constants_of_a_model_are_typed(particles: Terms) -> None:
     for term in particles.terms:
-        assert {type(kind) for kind in term.local} <= {Value} and term.local.keys() == term.index.keys()
+        assert {type(kind) for kind in term.local} <= {ValueKind} and term.local.keys() == term.index.keys()
         assert all(isinstance(row, RowAt) and isinstance(row.kind, Row) for row in term.rows)
         assert all(len(term.index[kind]) == s.numel() for kind, s in term.local.items())
     assert particles.constants and all(isinstance(c, Constant) for c in particles.constants)
     at = particles.state_names.index("q[1]")
     moved = [c for c in particles.constants if c.row == RowAt(Row.BALANCE, at)]
-    assert [(c.source, c.value) for c in moved] == [(ValueAt(Value.COSTATE, velocity_of(particles)[at]), 1.0)]
+    assert [(c.source, c.value) for c in moved] == [(ValueAt(ValueKind.COSTATE, velocity_of(particles)[at]), 1.0)]
 
 
 def short_strings(path: Path) -> list[tuple[str, int]]:

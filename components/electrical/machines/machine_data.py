@@ -295,7 +295,7 @@ def _definite(data: MachineData) -> list[Wrong]:
 
 
 def _saturation(data: MachineData) -> list[Wrong]:
-    """What keeps the main flux from saturating: no leakage, leakages that are negative, a curve that is not convex."""
+    """Problems that keep the main flux from saturating: no leakage, leakages that are negative, a curve that is not convex."""
     if data.saturation is None:
         return []
     if data.Ll is None:

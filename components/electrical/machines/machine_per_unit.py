@@ -293,7 +293,7 @@ def branches(xl: Any, x: Any, steps: Sequence[tuple[Any, Any]], omega: float) ->
 
 
 @dataclass(frozen=True)
-class Referred:
+class ReferredWindings:
     """Rotor windings in turns of their own: peak mutual inductances M [H], R [ohm], L(i, j) [H]; numbers or expressions."""
 
     M: list[Any]
@@ -301,7 +301,7 @@ class Referred:
     L: list[list[Any]]
 
 
-def referred(c: EquivalentCircuit, k: Sequence[Any], Z: float, omega: float) -> Referred:
+def referred(c: EquivalentCircuit, k: Sequence[Any], Z: float, omega: float) -> ReferredWindings:
     """The rotor windings of a circuit with the turns `k` in those of a phase; Z [ohm]: base of its resistances."""
     Lb, windings = Z / omega, [*(("d", *b) for b in c.d), *(("q", *b) for b in c.q)]
     mutual = {"d": c.xad, "q": c.xaq}
@@ -313,7 +313,7 @@ def referred(c: EquivalentCircuit, k: Sequence[Any], Z: float, omega: float) -> 
         for i, (a, _, x) in enumerate(windings)
     ]
     R = [1.5 * r * Z / k[i] ** 2 for i, (_, r, _) in enumerate(windings)]
-    return Referred([mutual[a] * Lb / k[i] for i, (a, _, _) in enumerate(windings)], R, L)
+    return ReferredWindings([mutual[a] * Lb / k[i] for i, (a, _, _) in enumerate(windings)], R, L)
 
 
 def _machine(

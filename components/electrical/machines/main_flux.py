@@ -61,7 +61,7 @@ class Saturation:
         return "table" if self.points else self.kind
 
     def problems(self) -> list[tuple[str, str]]:
-        """What keeps the energy from being convex, or the curve from being one, with the numbers and the remedy."""
+        """Points and numbers for which the energy is not convex, or the curve is none, with the numbers and the remedy."""
         if self.axes not in ("dq", "d") or self.kind not in ("quadratic", "exponential"):
             text = f"saturation: axes = '{self.axes}', kind = '{self.kind}'"
             return [(text, "give axes = 'dq' or 'd', kind = 'quadratic' or 'exponential'")]
@@ -111,20 +111,20 @@ class Saturation:
         """n of the exponential curve."""
         return log(self.S12 / self.S10) / log(SECOND)
 
-    def curve(self) -> Curve:
+    def curve(self) -> NoLoadCurve:
         """The curve with its numbers as tunable parameters; every value that they may have is convex."""
         if self.form == "quadratic":
             A, B = self.corner
-            return Curve(self, (
+            return NoLoadCurve(self, (
                 parameter("A_sat", A, unit="1", min=0.0, description="main flux at which saturation begins, of the rated one"),
                 parameter("B_sat", B, unit="1", min=0.0, description="growth of saturation: S u = B_sat (u - A_sat)^2"),
             ))  # fmt: skip
         if self.form == "exponential":
-            return Curve(self, (
+            return NoLoadCurve(self, (
                 parameter("S_sat", self.S10, unit="1", positive=True, description="saturation at the rated main flux"),
                 parameter("n_sat", self.exponent, unit="1", min=0.0, description="exponent of saturation: S = S_sat u^n_sat"),
             ))  # fmt: skip
-        return Curve(self, ())
+        return NoLoadCurve(self, ())
 
     def current(self, u: float) -> float:
         """S(u) u, the field current beside that of the air gap at the main flux u, both in per unit."""
@@ -145,7 +145,7 @@ class Saturation:
 
 
 @dataclass(frozen=True)
-class Curve:
+class NoLoadCurve:
     """A no-load curve in expressions: current S(r) r and energy w(r) of iron at the main flux r, all in per unit."""
 
     data: Saturation

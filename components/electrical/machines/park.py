@@ -10,7 +10,7 @@ import casadi as ca
 
 from phfmu import Variable, parameter
 from phfmu.components.electrical.machines.machine_data import COUPLING, MachineData
-from phfmu.components.electrical.machines.main_flux import Curve
+from phfmu.components.electrical.machines.main_flux import NoLoadCurve
 from phfmu.components.electrical.phases import ALPHA
 
 #: names of the entries of three-phase quantities in the rotor's frame
@@ -46,7 +46,7 @@ class Inductances:
     axis: tuple[str, ...]
     line: ca.SX | None = None
     leakage: ca.SX | None = None
-    curve: Curve | None = None
+    curve: NoLoadCurve | None = None
     rated: float = 1.0
 
     @property
@@ -183,7 +183,7 @@ def main_flux(flux: ca.SX, L: Inductances) -> tuple[list[ca.SX], list[ca.SX], ca
 
 
 def saturation_energy(flux: ca.SX, L: Inductances) -> ca.SX | None:
-    """What a saturated machine with the fluxes (d, q, 0, rotor) stores beyond `magnetic_energy`; None for a linear one."""
+    """Energy of a saturated machine with the fluxes (d, q, 0, rotor) beyond `magnetic_energy`; None for a linear one."""
     if L.curve is None:
         return None
     mu, stiffness, base = main_flux(flux, L)

@@ -22,11 +22,11 @@ BACKWARDS = FORWARDS.T
 
 
 def limbs(group: str) -> tuple[np.ndarray, np.ndarray]:
-    """What the sides of a vector group put on its limbs (3 x 3 each): W_a v_a/n = W_b v_b without load.
+    """Incidence of the sides of a vector group on its limbs (3 x 3 each): W_a v_a/n = W_b v_b without load.
 
     A star beside one whose neutral floats has no zero sequence either: its mmf would find no counterpart.
     The hour counts from side a to side b: at hour 11 the voltages of b lead by 30 degrees, at 1 they lag.
-    Ii0 and Ii6 are those of one phase (1 x 1 each).  ValueError for a group that there is not, such as an odd hour between two
+    Ii0 and Ii6 are those of one phase (1 x 1 each).  Raises ValueError for an unknown group, such as an odd hour between two
     stars.
     """
     if group in ("Ii0", "Ii6"):
@@ -87,7 +87,7 @@ def two_winding_transformer(
     rated ones, tunable.
     `phases`: 3, or 1 with scalars for (3);  `group`: the vector group, YNyn0 where it is not given, with one phase Ii0 (or Ii6).
     Where a neutral floats (Y or y) no zero sequence flows on either side.  A delta grounds that of yn or YN over the leakage.
-    ValueError for ratings that are not positive, x = 0, and a no-load loss that the no-load current cannot bring.
+    Raises ValueError for ratings that are not positive, x = 0, and a no-load loss that the no-load current cannot bring.
     Source: IEC 60076-1 (vector groups); Kundur, Power System Stability and Control, 1994, section 6.2.
     """
     if not (Sn > 0 and Va > 0 and Vb > 0 and f > 0 and tap > 0):

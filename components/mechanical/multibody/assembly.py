@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from phfmu.components.mechanical.multibody.body import Body
+from phfmu.components.mechanical.multibody.body import MechanismBody
 from phfmu.components.mechanical.multibody.gear import Gear
-from phfmu.components.mechanical.multibody.joint import SIZES, Joint, coordinates, directions, finite, motion
+from phfmu.components.mechanical.multibody.joint import SIZES, KinematicJoint, coordinates, directions, finite, motion
 
 #: a joint is open by more than this [m, rad]: it does not assemble
 OPEN = 1e-9
@@ -21,7 +21,11 @@ class Assembly:
     """A spanning tree of the joints, from the ground and from bodies that float; the other joints close loops."""
 
     def __init__(
-        self, bodies: Sequence[Body], joints: Sequence[Joint], given: Mapping[str, Any], gears: Sequence[Gear] = ()
+        self,
+        bodies: Sequence[MechanismBody],
+        joints: Sequence[KinematicJoint],
+        given: Mapping[str, Any],
+        gears: Sequence[Gear] = (),
     ):
         self.bodies, self.joints, self.gears = bodies, joints, gears
         self.tree, self.loops = _spanned(bodies, joints, given)
@@ -98,7 +102,7 @@ class Assembly:
             project(self.bodies, self.joints, speeds, self.gears)
 
 
-def require_closed(joints: Sequence[Joint], how: str = "") -> None:
+def require_closed(joints: Sequence[KinematicJoint], how: str = "") -> None:
     """ValueError for the joint that is open the most."""
     gaps = [(float(np.max(np.abs(j.gap()), initial=0.0)), j) for j in joints]
     worst, joint = max(gaps, key=lambda g: g[0], default=(0.0, None))
@@ -110,7 +114,10 @@ def require_closed(joints: Sequence[Joint], how: str = "") -> None:
 
 
 def project(
-    bodies: Sequence[Body], joints: Sequence[Joint], speeds: Mapping[str, Any], gears: Sequence[Gear] = ()
+    bodies: Sequence[MechanismBody],
+    joints: Sequence[KinematicJoint],
+    speeds: Mapping[str, Any],
+    gears: Sequence[Gear] = (),
 ) -> None:
     """Change velocities by the least in the mass metric so that joints and gears allow them and joints have the given rates."""
     place = {id(b): 6 * i for i, b in enumerate(bodies)}
@@ -150,7 +157,7 @@ def project(
         body.velocity, body.angular_velocity = v[i : i + 3].copy(), v[i + 3 : i + 6].copy()
 
 
-def unallowed(joints: Sequence[Joint], gears: Sequence[Gear] = ()) -> tuple[float, str]:
+def unallowed(joints: Sequence[KinematicJoint], gears: Sequence[Gear] = ()) -> tuple[float, str]:
     """The largest rate at which a joint would open, or a gear slip [m/s, rad/s], and its name."""
     worst = max(((abs(g.slip()), f"gear '{g.name}'") for g in gears), default=(0.0, ""))
     for j in joints:
@@ -167,14 +174,14 @@ def unallowed(joints: Sequence[Joint], gears: Sequence[Gear] = ()) -> tuple[floa
 
 
 def _spanned(
-    bodies: Sequence[Body], joints: Sequence[Joint], given: Mapping[str, Any]
-) -> tuple[list[tuple[Joint, bool]], list[Joint]]:
+    bodies: Sequence[MechanismBody], joints: Sequence[KinematicJoint], given: Mapping[str, Any]
+) -> tuple[list[tuple[KinematicJoint, bool]], list[KinematicJoint]]:
     """Joints of a spanning tree from its roots on, with whether b is placed by a, and the others.
 
     Joints whose coordinates are given are of the tree where they can be.
     """
     group = {id(b): i + 1 for i, b in enumerate(bodies)} | {id(None): 0}
-    chosen: list[Joint] = []
+    chosen: list[KinematicJoint] = []
     for j in sorted(joints, key=lambda j: j.name not in given):
         one, other = group[id(j.a)], group[id(j.b)]
         if j.equations.tree and one != other:
@@ -195,16 +202,16 @@ def _spanned(
     return tree, [j for j in joints if j not in chosen]
 
 
-def _velocity(body: Body | None, at: np.ndarray) -> np.ndarray:
-    """Of a point of a body that is now at a point of the world."""
+def _velocity(body: MechanismBody | None, at: np.ndarray) -> np.ndarray:
+    """Velocity of the point of a body that is now at a point of the world."""
     return np.zeros(3) if body is None else body.velocity + np.cross(body.angular_velocity, at - body.centre)
 
 
-def _turning(body: Body | None) -> np.ndarray:
+def _turning(body: MechanismBody | None) -> np.ndarray:
     return np.zeros(3) if body is None else body.angular_velocity
 
 
-def _set_velocity(body: Body, at: np.ndarray, velocity: np.ndarray, turning: np.ndarray) -> None:
+def _set_velocity(body: MechanismBody, at: np.ndarray, velocity: np.ndarray, turning: np.ndarray) -> None:
     body.angular_velocity = turning
     body.velocity = velocity + np.cross(turning, body.centre - at)
 
@@ -214,7 +221,7 @@ def _cross(r: np.ndarray) -> np.ndarray:
     return np.array([[0.0, -r[2], r[1]], [r[2], 0.0, -r[0]], [-r[1], r[0], 0.0]])
 
 
-def _sided_rows(j: Joint) -> list[np.ndarray]:
+def _sided_rows(j: KinematicJoint) -> list[np.ndarray]:
     """Rates of the equations of a joint per velocity and angular velocity of a, and of b (rows x 6 each)."""
     pa, frame_a, pb, frame_b = j.sides()
     slopes = j.slopes()
@@ -231,7 +238,7 @@ def _sided_rows(j: Joint) -> list[np.ndarray]:
     return out
 
 
-def velocity_rows(j: Joint, place: Mapping[int, int], n: int) -> np.ndarray:
+def velocity_rows(j: KinematicJoint, place: Mapping[int, int], n: int) -> np.ndarray:
     """Rates of the equations of a joint per velocities of all bodies."""
     sided = _sided_rows(j)
     rows = np.zeros((len(sided[0]), n))
@@ -246,7 +253,7 @@ def gear_rows(g: Gear, place: Mapping[int, int], n: int) -> np.ndarray:
     return _rate_rows(g.b, place, n) - g.ratio * _rate_rows(g.a, place, n)
 
 
-def _rate_rows(j: Joint, place: Mapping[int, int], n: int) -> np.ndarray:
+def _rate_rows(j: KinematicJoint, place: Mapping[int, int], n: int) -> np.ndarray:
     """Rates of the coordinates of a joint per velocities of all bodies, where its equations hold."""
     move, turn = directions(j)
     _, _, at, _ = j.sides()

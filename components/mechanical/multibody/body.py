@@ -20,7 +20,7 @@ Vector = Any  # numbers of a point or direction
 
 
 @dataclass(eq=False)
-class Body:
+class MechanismBody:
     """A rigid body; made by `Mechanism.body`, `rod` or `point_mass`.
 
     mass [kg];  com [m]: centre of mass in the frame of the body
@@ -91,7 +91,7 @@ def tensor(name: str, inertia: Any, mass: float, offset: np.ndarray, axes: Any) 
 
     inertia:  3 moments or a symmetric 3 x 3 tensor, in `axes` (columns in the frame of the body), about a point `offset` [m] away
               from the centre of mass
-    Errors:   ValueError for what is neither
+    Errors:   ValueError if it is neither
     """
     given = np.asarray(inertia, float)
     j = np.diag(given) if given.shape == (3,) else given
@@ -126,8 +126,8 @@ class Spring:
     """A spring [N/m] with a damper [N.s/m] along it, between points (body or the ground, place in its frame [m])."""
 
     name: str
-    a: tuple[Body | None, np.ndarray]
-    b: tuple[Body | None, np.ndarray]
+    a: tuple[MechanismBody | None, np.ndarray]
+    b: tuple[MechanismBody | None, np.ndarray]
     stiffness: float
     length: float
     damping: float

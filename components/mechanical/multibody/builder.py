@@ -20,26 +20,26 @@ from phfmu import (
 )
 from phfmu.components.mechanical.multibody.declaration import Declaration
 from phfmu.components.mechanical.multibody.parts import (
-    Combined,
     Constraint,
-    Contact,
     Damper,
     DrivenPoint,
+    ElasticBond,
     Given,
+    HardContact,
+    LinearCombination,
     MovingSupport,
     Particle,
-    Parts,
+    ParticleSystem,
     Places,
     Point,
     PointMass,
+    PositionObservable,
     Rate,
     RateDamper,
     RateIntegral,
     RatePort,
-    Reported,
     Scalar,
     Solid,
-    Spring,
     Strain,
     Support,
 )
@@ -53,7 +53,7 @@ class Multibody:
     """
 
     def __init__(self, name: str, dim: int = 3, description: str = ""):
-        self.parts = Parts(name, dim, description)
+        self.parts = ParticleSystem(name, dim, description)
 
     @property
     def name(self) -> str:
@@ -128,7 +128,7 @@ class Multibody:
     def spring(self, a: Point, b: Point, potential: Scalar) -> None:
         """An elastic bond with energy potential(s) of the squared distance s = |b - a|^2 [m2]."""
         self._at_rest("spring", a, b)
-        self.parts.springs.append(Spring(a, b, potential))
+        self.parts.springs.append(ElasticBond(a, b, potential))
 
     def distance_spring(self, a: Point, b: Point, potential: Scalar) -> None:
         """An elastic bond with energy potential(r) of the distance r = |b - a| [m]."""
@@ -258,11 +258,11 @@ class Multibody:
         """
         e = parameter(f"{name}.restitution", float(restitution), min=0.0, max=1.0, description=f"of {name}")
         self.parts.parameters.append(e)
-        self.parts.contacts.append(Contact(name, gap, e, float(nominal), unit))
+        self.parts.contacts.append(HardContact(name, gap, e, float(nominal), unit))
 
     def observable(self, name: str, unit: str, of: Callable[[Any], ca.SX], description: str = "") -> None:
         """A reported expression of(d) of d.at(point), d.speed(point) and d.multiplier[label]."""
-        self.parts.reported.append(Reported(name, unit, of, description))
+        self.parts.reported.append(PositionObservable(name, unit, of, description))
 
     # -- pictures -----------------------------------------------------------------------------------------------------
 
@@ -329,6 +329,6 @@ class Multibody:
 def _label(point: Point) -> str:
     if isinstance(point, Particle):
         return f"particle {point.number + 1}"
-    if isinstance(point, Combined):
+    if isinstance(point, LinearCombination):
         return "a combined point"
     return f"support {point.position}" if isinstance(point, Support) else f"'{point.name}'"

@@ -25,10 +25,10 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 import numpy as np
 
-from phfmu.components.mechanical.multibody.body import Body
+from phfmu.components.mechanical.multibody.body import MechanismBody
 from phfmu.components.mechanical.multibody.builder import Multibody
 from phfmu.components.mechanical.multibody.joint import Side
-from phfmu.components.mechanical.multibody.parts import Combined, Particle
+from phfmu.components.mechanical.multibody.parts import LinearCombination, Particle
 
 if TYPE_CHECKING:
     from phfmu.components.mechanical.multibody.declaration import Declaration
@@ -50,8 +50,8 @@ class Bushing:
     """
 
     name: str
-    a: Body | None
-    b: Body | None
+    a: MechanismBody | None
+    b: MechanismBody | None
     at_a: np.ndarray
     at_b: np.ndarray
     frame_a: np.ndarray
@@ -87,7 +87,7 @@ class Bushing:
         return any(np.any(v[3:]) for v in (self.stiffness, self.damping, self.hardening))
 
 
-class Framed:
+class BushingEquations:
     """A bushing in the making: its sides, its parameters, and what it stores and dissipates.
 
     principal: principal axes of its second body;  points: the particles of both bodies
@@ -98,7 +98,7 @@ class Framed:
         made: Multibody,
         bushing: Bushing,
         sides: tuple[Callable[[Any], Side], Callable[[Any], Side]],
-        principal: list[Combined],
+        principal: list[LinearCombination],
         points: list[Particle],
     ):
         self.made, self.bushing, self.sides, self.principal, self.points = made, bushing, sides, principal, points

@@ -8,9 +8,9 @@ from typing import Any, Protocol
 import casadi as ca
 import numpy as np
 
-from phfmu.components.mechanical.multibody.body import Body
+from phfmu.components.mechanical.multibody.body import MechanismBody
 from phfmu.components.mechanical.multibody.builder import Multibody
-from phfmu.components.mechanical.multibody.parts import Combined, Particle
+from phfmu.components.mechanical.multibody.parts import LinearCombination, Particle
 
 
 @dataclass(frozen=True)
@@ -113,8 +113,8 @@ class ContactPair:
     """
 
     name: str
-    a: Body | None
-    b: Body | None
+    a: MechanismBody | None
+    b: MechanismBody | None
     at_a: np.ndarray
     at_b: np.ndarray
     normal: np.ndarray | None
@@ -170,7 +170,7 @@ class ContactPair:
         return float(n @ (q - p)) - self.reach
 
 
-class Placed(Protocol):
+class MechanismParticles(Protocol):
     """Bodies of a mechanism as particles, and points and directions of them; `observe`: whether gaps are told."""
 
     made: Multibody
@@ -178,18 +178,18 @@ class Placed(Protocol):
     observe: bool
     particles: dict[int, list[Particle]]
 
-    def point(self, body: Body | None, place: Any) -> Combined: ...
-    def direction(self, body: Body | None, along: Any) -> Combined: ...
+    def point(self, body: MechanismBody | None, place: Any) -> LinearCombination: ...
+    def direction(self, body: MechanismBody | None, along: Any) -> LinearCombination: ...
 
 
-def add_contact(equations: Placed, pair: ContactPair) -> None:
+def add_contact(equations: MechanismParticles, pair: ContactPair) -> None:
     """The event, or energy and friction, of a pair, and its observable NAME.gap."""
     m, name, dim = equations.made, pair.name, equations.dim
 
     def vector(label: str, unit: str, value: np.ndarray, text: str) -> ca.SX:
         return m.parameter(f"{name}.{label}", value[:dim], dim, unit=unit, description=f"{text} of {name}").sx
 
-    ends: list[Combined] = []
+    ends: list[LinearCombination] = []
     for side, body, at in (("a", pair.a, pair.at_a), ("b", pair.b, pair.at_b)):
         local = at if body is None else body.principal(at)
         ends.append(equations.point(body, vector(f"at_{side}", "m", local, "place")))

@@ -11,25 +11,15 @@ import casadi as ca
 import numpy as np
 
 from phfmu import ROTATIONAL, TRANSLATIONAL
-from phfmu.components.mechanical.multibody.body import Body
-from phfmu.components.mechanical.multibody.builder import Multibody
-from phfmu.components.mechanical.multibody.joint import Coordinate, Joint, Side, coordinates, rate
-from phfmu.components.mechanical.multibody.parts import Particle
+from phfmu.components.mechanical.multibody.body import MechanismBody
+from phfmu.components.mechanical.multibody.contact import MechanismParticles
+from phfmu.components.mechanical.multibody.joint import Coordinate, KinematicJoint, Side, coordinates, rate
 
 if TYPE_CHECKING:
     from phfmu.components.mechanical.multibody.declaration import Declaration
 
 
-class Made(Protocol):
-    """A mechanism in the making: its bodies as particles; `observe`: whether coordinates are told."""
-
-    made: Multibody
-    dim: int
-    observe: bool
-    particles: dict[int, list[Particle]]
-
-
-class Sided(Protocol):
+class SideProvider(Protocol):
     """Point and axes of a joint on one of its bodies."""
 
     def seen(self, of: Callable[[Any], ca.SX]) -> Side: ...
@@ -38,11 +28,18 @@ class Sided(Protocol):
 class JointCoordinate:
     """The coordinate `number` of a joint between two sides."""
 
-    def __init__(self, mechanism: Made, joint: Joint, sides: tuple[Sided, Sided], coordinate: Coordinate, number: int):
+    def __init__(
+        self,
+        mechanism: MechanismParticles,
+        joint: KinematicJoint,
+        sides: tuple[SideProvider, SideProvider],
+        coordinate: Coordinate,
+        number: int,
+    ):
         self.mechanism, self.joint, self.sides, self.coordinate = mechanism, joint, sides, coordinate
         self.unit, self.angular = coordinate.unit, coordinate.unit == "rad"
         self._number = number
-        bodies: list[Body] = [body for body in (joint.a, joint.b) if body is not None]
+        bodies: list[MechanismBody] = [body for body in (joint.a, joint.b) if body is not None]
         #: what its rate is made of
         self.points = [p for body in bodies for p in mechanism.particles[id(body)]]
         self._directions = all(body.directors == 3 for body in bodies)

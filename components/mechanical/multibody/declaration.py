@@ -31,12 +31,12 @@ from phfmu import (
     time,
 )
 from phfmu.components.mechanical.multibody.parts import (
-    Combined,
     Constraint,
     DrivenPoint,
+    LinearCombination,
     MovingSupport,
     Particle,
-    Parts,
+    ParticleSystem,
     Places,
     Point,
     Rate,
@@ -48,7 +48,7 @@ from phfmu.components.mechanical.multibody.shapes import shapes
 class Declaration:
     """The variables of one build and the terms on them."""
 
-    def __init__(self, parts: Parts):
+    def __init__(self, parts: ParticleSystem):
         self.parts, dim, masses = parts, parts.dim, parts.masses
         n = len(masses) * dim
         if not n:
@@ -75,8 +75,8 @@ class Declaration:
         }
 
     def at(self, point: Point) -> ca.SX:
-        """Its position (dim x 1). Errors: ValueError for what is no point."""
-        if not isinstance(point, Particle | Support | MovingSupport | DrivenPoint | Combined):
+        """Its position (dim x 1).  Raises ValueError for another object than a point."""
+        if not isinstance(point, Particle | Support | MovingSupport | DrivenPoint | LinearCombination):
             raise ValueError(
                 f"{self.parts.name}: at({point!r}): that is no point; give what particle(), support(), moving_support() or "
                 "driven_point() returned"
@@ -85,14 +85,14 @@ class Declaration:
             return ca.SX(ca.DM(list(point.position)))
         if isinstance(point, MovingSupport):
             return ca.vertcat(*map(ca.SX, point.position(time)))
-        if isinstance(point, Combined):
+        if isinstance(point, LinearCombination):
             fixed = 0 if point.fixed is None else point.fixed
             return _weighted(point, self.parts.dim, self.at) + fixed
         return self.s[point].sx if isinstance(point, DrivenPoint) else self.q[self.parts.rows(point)]
 
     def speed(self, point: Point) -> ca.SX:
         """Its velocity (dim x 1), zero for supports."""
-        if isinstance(point, Combined):
+        if isinstance(point, LinearCombination):
             return _weighted(point, self.parts.dim, self.speed)
         if isinstance(point, Particle):
             return self.v[self.parts.rows(point)]
@@ -274,13 +274,13 @@ class Declaration:
 
 
 def _particles(point: Point) -> tuple[Particle | DrivenPoint, ...]:
-    """What moves a point."""
-    if isinstance(point, Combined):
+    """The particles that move a point."""
+    if isinstance(point, LinearCombination):
         return tuple(p for p, _ in point.terms)
     return (point,) if isinstance(point, Particle | DrivenPoint) else ()
 
 
-def _weighted(point: Combined, dim: int, of: Callable[[Point], ca.SX]) -> ca.SX:
+def _weighted(point: LinearCombination, dim: int, of: Callable[[Point], ca.SX]) -> ca.SX:
     total = ca.SX(dim, 1)
     for particle, weight in point.terms:
         total += ca.mtimes(ca.SX(weight), of(particle)) if ca.SX(weight).numel() > 1 else weight * of(particle)

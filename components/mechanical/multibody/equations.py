@@ -10,15 +10,14 @@ import casadi as ca
 import numpy as np
 
 from phfmu import PHDAE, Variable
-from phfmu.components.mechanical.multibody.body import Body, Spring
+from phfmu.components.mechanical.multibody.body import MechanismBody, Spring
 from phfmu.components.mechanical.multibody.builder import Multibody
-from phfmu.components.mechanical.multibody.bushing import Bushing, Framed
+from phfmu.components.mechanical.multibody.bushing import Bushing, BushingEquations
 from phfmu.components.mechanical.multibody.contact import ContactPair, add_contact
 from phfmu.components.mechanical.multibody.coordinate import JointCoordinate
 from phfmu.components.mechanical.multibody.gear import Gear
-from phfmu.components.mechanical.multibody.joint import Joint, Symbols
-from phfmu.components.mechanical.multibody.parts import Combined, Particle
-from phfmu.components.mechanical.multibody.solids import add_solid
+from phfmu.components.mechanical.multibody.joint import KinematicJoint, SymbolicSide
+from phfmu.components.mechanical.multibody.parts import LinearCombination, Particle
 
 if TYPE_CHECKING:
     from phfmu.components.mechanical.multibody.declaration import Declaration
@@ -26,16 +25,18 @@ if TYPE_CHECKING:
 #: the quarter turn, which gives the second director in the plane
 QUARTER = ca.DM([[0.0, -1.0], [1.0, 0.0]])
 AXES = {"x": 0, "y": 1, "z": 2}
+#: the shortest edge of a box, and the radius of a rod, beside its longest edge or its length, in pictures
+THIN, ROD = 0.04, 0.02
 #: radius of what joins the ends of a distance in pictures, beside its length
 ROPE = 0.006
 
 
 @dataclass(frozen=True)
-class Observed:
+class ObservedQuantity:
     """A point of a body [m, in its frame], or the coordinate of a joint, under a name of its own."""
 
     name: str
-    of: Body | Joint
+    of: MechanismBody | KinematicJoint
     place: np.ndarray
     description: str
 
@@ -51,16 +52,16 @@ class MechanismParts:
     planar: bool
     gravity: np.ndarray
     description: str
-    bodies: list[Body] = field(default_factory=list)
-    joints: list[Joint] = field(default_factory=list)
+    bodies: list[MechanismBody] = field(default_factory=list)
+    joints: list[KinematicJoint] = field(default_factory=list)
     springs: list[Spring] = field(default_factory=list)
     bushings: list[Bushing] = field(default_factory=list)
     contacts: list[ContactPair] = field(default_factory=list)
     gears: list[Gear] = field(default_factory=list)
-    observed: list[Observed] = field(default_factory=list)
+    observed: list[ObservedQuantity] = field(default_factory=list)
 
 
-class Equations:
+class MechanismEquations:
     """The particles of each body, and what joints, springs and observables are made of."""
 
     def __init__(self, mechanism: MechanismParts, observe: bool):
@@ -90,9 +91,9 @@ class Equations:
             self._observe(observed)
         return self.made.build()
 
-    def _observe(self, observed: Observed) -> None:
+    def _observe(self, observed: ObservedQuantity) -> None:
         of = observed.of
-        if isinstance(of, Joint):
+        if isinstance(of, KinematicJoint):
             coordinate = self.coordinates[of.name][0]
             self.made.observable(observed.name, coordinate.unit, coordinate.value, observed.description)
         else:
@@ -106,7 +107,7 @@ class Equations:
 
     # -- bodies -----------------------------------------------------------------------------------------------------
 
-    def _body(self, body: Body) -> None:
+    def _body(self, body: MechanismBody) -> None:
         n, kept = self.dim, min(body.directors, 1) if self.given.planar else body.directors
         unit, spin = body.rotation @ body.axes, body.angular_velocity
         particles = [
@@ -130,29 +131,52 @@ class Equations:
                 multiplier=(f"{body.name}.rigid", "N/m"),
                 kept=True,
             )
-        add_solid(self, body)
+        self._solid(body)
         if self.observe:
             self._observe_body(body)
 
-    def point(self, body: Body | None, place: Any) -> Combined:
+    def point(self, body: MechanismBody | None, place: Any) -> LinearCombination:
         """A point of a body, or of the ground: `place` [m] from the centre of mass along the principal axes."""
         if body is None:
-            return Combined((), place)
-        return Combined(((self.particles[id(body)][0], 1.0), *self.direction(body, place).terms))
+            return LinearCombination((), place)
+        return LinearCombination(((self.particles[id(body)][0], 1.0), *self.direction(body, place).terms))
 
-    def direction(self, body: Body | None, along: Any) -> Combined:
+    def direction(self, body: MechanismBody | None, along: Any) -> LinearCombination:
         """A direction of a body, by its principal axes, or of the ground."""
         if body is None:
-            return Combined((), along)
+            return LinearCombination((), along)
         along, directors = ca.SX(along), self.particles[id(body)][1:]
         if not directors:
-            return Combined(())
+            return LinearCombination(())
         if self.given.planar:
             turned = (along[0] * ca.DM.eye(2) + along[1] * QUARTER) / self.rho[id(body)]
-            return Combined(((directors[0], turned),))
-        return Combined(tuple((d, along[i] / self.rho[id(body)]) for i, d in enumerate(directors)))
+            return LinearCombination(((directors[0], turned),))
+        return LinearCombination(tuple((d, along[i] / self.rho[id(body)]) for i, d in enumerate(directors)))
 
-    def _observe_body(self, body: Body) -> None:
+    def _solid(self, body: MechanismBody) -> None:
+        """The box (rod, ball) with the mass and the moments of inertia of a body, along its principal axes, for pictures.
+
+        e_i = m a_i^2/12    for an edge a_i and the Euler moment e_i
+        """
+        centre, *directors = self.particles[id(body)]
+        if not directors or not body.mass:
+            return
+        edges = np.sqrt(12.0 * np.maximum(body.moments, 0.0) / body.mass)
+        longest = float(edges.max())
+        if len(directors) == 1 and not body.planar:
+            half = self._along(body, 0.5 * longest), self._along(body, -0.5 * longest)
+            self.made.solid("rod", *half, size=(ROD * longest,), label=body.name)
+            return
+        size = tuple(float(a) for a in np.maximum(edges, THIN * longest))
+        axes = directors if len(directors) == 3 else [directors[0], self.direction(body, [0.0, 1.0])]
+        self.made.solid("box", centre, size=size, axes=axes, label=body.name)
+
+    def _along(self, body: MechanismBody, distance: float) -> LinearCombination:
+        """The point at a distance from the centre of a rod [m]."""
+        towards = self.direction(body, [distance, 0.0, 0.0])
+        return LinearCombination(((self.particles[id(body)][0], 1.0), *towards.terms))
+
+    def _observe_body(self, body: MechanismBody) -> None:
         name, m = body.name, self.made
         centre, directors = self.particles[id(body)][0], self.particles[id(body)][1:]
         m.observable(f"{name}.position", "m", lambda d: d.at(centre), f"centre of mass of {name}")
@@ -186,7 +210,7 @@ class Equations:
                 f"angular velocity of {name} in the axes of the world",
             )
 
-    def _energy(self, body: Body, d: Declaration) -> ca.SX:
+    def _energy(self, body: MechanismBody, d: Declaration) -> ca.SX:
         particles = self.particles[id(body)]
         kinetic = sum(
             (0.5 * d.m.sx[p.number] * ca.sumsqr(d.speed(p)) for p in particles),
@@ -197,7 +221,7 @@ class Equations:
 
     # -- joints -----------------------------------------------------------------------------------------------------
 
-    def _joint(self, joint: Joint) -> None:
+    def _joint(self, joint: KinematicJoint) -> None:
         m, name, kind = self.made, joint.name, joint.equations
         sides = JointSide(self, joint, "a"), JointSide(self, joint, "b")
         length = ca.SX(0)
@@ -223,7 +247,7 @@ class Equations:
             self._observe_wrench(joint, sides, position, axes)
 
     def _observe_wrench(
-        self, joint: Joint, sides: tuple[JointSide, JointSide], position: list[ca.SX], axes: list[ca.SX]
+        self, joint: KinematicJoint, sides: tuple[JointSide, JointSide], position: list[ca.SX], axes: list[ca.SX]
     ) -> None:
         """Force at the point of the second body, and torque about it, -(dg/dp)^T lambda and -w x (dg/dw)^T lambda.
 
@@ -299,19 +323,19 @@ class Equations:
         bodies = [body for body in (bushing.a, bushing.b) if body is not None]
         points = [p for body in bodies for p in self.particles[id(body)]]
         principal = [self.direction(bushing.b, column) for column in ca.horzsplit(ca.DM.eye(self.dim))]
-        Framed(self.made, bushing, (one.seen, other.seen), principal, points).add(self.observe)
+        BushingEquations(self.made, bushing, (one.seen, other.seen), principal, points).add(self.observe)
 
 
 class JointSide:
     """Point and axes of a joint or bushing on one of its bodies; each becomes a parameter when it is first used."""
 
-    def __init__(self, equations: Equations, joint: Joint | Bushing, side: str):
+    def __init__(self, equations: MechanismEquations, joint: KinematicJoint | Bushing, side: str):
         self.equations, self.joint, self.side = equations, joint, side
-        self.body: Body | None = getattr(joint, side)
-        self.points: dict[str, Combined] = {}
-        self.symbols = Symbols(*(ca.SX.sym(f"{which}_{side}", equations.dim) for which in "pxyz"))
+        self.body: MechanismBody | None = getattr(joint, side)
+        self.points: dict[str, LinearCombination] = {}
+        self.symbols = SymbolicSide(*(ca.SX.sym(f"{which}_{side}", equations.dim) for which in "pxyz"))
 
-    def point(self, which: str) -> Combined:
+    def point(self, which: str) -> LinearCombination:
         """The point "p", or the axis "x", "y", "z"."""
         if which not in self.points:
             at, frame = getattr(self.joint, f"at_{self.side}"), getattr(self.joint, f"frame_{self.side}")
@@ -334,12 +358,12 @@ class JointSide:
             f"{name}.{label}_{self.side}", vector[:n], n, unit=unit, description=f"of {name} on {where}"
         )
 
-    def seen(self, of: Callable[[Any], ca.SX]) -> Seen:
+    def seen(self, of: Callable[[Any], ca.SX]) -> LazySide:
         """Positions, or velocities, of its point and axes."""
-        return Seen(self, of)
+        return LazySide(self, of)
 
 
-class Seen:
+class LazySide:
     """A side whose point and axes are made when they are asked for."""
 
     def __init__(self, side: JointSide, of: Callable[[Any], ca.SX]):

@@ -8,7 +8,7 @@ from pathlib import Path
 from phfmu.components.mechanical.multibody.assembly import project
 from phfmu.components.mechanical.multibody.body import rotation_about
 from phfmu.components.mechanical.multibody.contact import Compliance, Limits
-from phfmu.components.mechanical.multibody.joint import Joint
+from phfmu.components.mechanical.multibody.joint import KinematicJoint
 from phfmu.components.mechanical.multibody.mechanism import Mechanism
 
 
@@ -52,7 +52,7 @@ def mechanism_of_file(
         )
         for b in read.bodies
     ]
-    joints: list[Joint] = []
+    joints: list[KinematicJoint] = []
     for j in read.joints:
         a, b = (bodies[i] if i >= 0 else None for i in (j.a, j.b))
         ends = j.limits

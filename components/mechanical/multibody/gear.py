@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phfmu.components.mechanical.multibody.joint import Joint, rate
+from phfmu.components.mechanical.multibody.joint import KinematicJoint, rate
 
 
 @dataclass(frozen=True, eq=False)
@@ -14,8 +14,8 @@ class Gear:
     """rate of b = ratio times rate of a; ratio [1, m/rad or rad/m], as the joints turn or slide."""
 
     name: str
-    a: Joint
-    b: Joint
+    a: KinematicJoint
+    b: KinematicJoint
     ratio: float
 
     def __post_init__(self) -> None:

@@ -14,7 +14,7 @@ from typing import Literal, NamedTuple, Protocol
 import casadi as ca
 import numpy as np
 
-from phfmu.components.mechanical.multibody.body import Body, rotation_about
+from phfmu.components.mechanical.multibody.body import MechanismBody, rotation_about
 from phfmu.components.mechanical.multibody.contact import Limits
 
 Rows = Callable[["Side", "Side", ca.SX], tuple[list[ca.SX], list[ca.SX]]]
@@ -33,7 +33,7 @@ class Side(Protocol):
     def z(self) -> ca.SX: ...
 
 
-class Symbols(NamedTuple):
+class SymbolicSide(NamedTuple):
     """A side of symbols."""
 
     p: ca.SX
@@ -52,7 +52,7 @@ class Coordinate:
 
 
 @dataclass(frozen=True)
-class Kind:
+class JointKind:
     """rows: equations of position [m] and of axes [1];  coordinates: what is left free, in the order of `motion`.
 
     tree: can a body be placed by it
@@ -86,41 +86,45 @@ def _dots(*pairs: tuple[ca.SX, ca.SX]) -> list[ca.SX]:
     return [ca.dot(u, w) for u, w in pairs]
 
 
-SPATIAL: dict[str, Kind] = {
-    "fixed": Kind(lambda a, b, _: ([b.p - a.p], _dots((a.x, b.y), (a.y, b.z), (a.z, b.x)))),
-    "revolute": Kind(lambda a, b, _: ([b.p - a.p], _dots((a.x, b.z), (a.y, b.z))), (ANGLE,)),
-    "prismatic": Kind(
+SPATIAL: dict[str, JointKind] = {
+    "fixed": JointKind(lambda a, b, _: ([b.p - a.p], _dots((a.x, b.y), (a.y, b.z), (a.z, b.x)))),
+    "revolute": JointKind(lambda a, b, _: ([b.p - a.p], _dots((a.x, b.z), (a.y, b.z))), (ANGLE,)),
+    "prismatic": JointKind(
         lambda a, b, _: (
             _dots((b.p - a.p, a.x), (b.p - a.p, a.y)),
             _dots((a.x, b.y), (a.y, b.z), (a.z, b.x)),
         ),
         (LENGTH,),
     ),
-    "cylindrical": Kind(
+    "cylindrical": JointKind(
         lambda a, b, _: (_dots((b.p - a.p, a.x), (b.p - a.p, a.y)), _dots((a.x, b.z), (a.y, b.z))), (ANGLE, LENGTH)
     ),
-    "spherical": Kind(lambda a, b, _: ([b.p - a.p], [])),
-    "universal": Kind(lambda a, b, _: ([b.p - a.p], _dots((a.z, b.x)))),
-    "planar": Kind(
+    "spherical": JointKind(lambda a, b, _: ([b.p - a.p], [])),
+    "universal": JointKind(lambda a, b, _: ([b.p - a.p], _dots((a.z, b.x)))),
+    "planar": JointKind(
         lambda a, b, _: (_dots((b.p - a.p, a.z)), _dots((a.x, b.z), (a.y, b.z))),
         (Coordinate("x", "m", _along("x")), Coordinate("y", "m", _along("y")), ANGLE),
     ),
-    "point_on_line": Kind(lambda a, b, _: (_dots((b.p - a.p, a.x), (b.p - a.p, a.y)), []), (LENGTH,), tree=False),
-    "distance": Kind(lambda a, b, length: ([0.5 * (ca.sumsqr(b.p - a.p) / length - length)], []), tree=False),
+    "point_on_line": JointKind(lambda a, b, _: (_dots((b.p - a.p, a.x), (b.p - a.p, a.y)), []), (LENGTH,), tree=False),
+    "distance": JointKind(lambda a, b, length: ([0.5 * (ca.sumsqr(b.p - a.p) / length - length)], []), tree=False),
 }
 
 #: in the plane z is the direction of travel of a slider and x across it
-PLANAR: dict[str, Kind] = {
-    "fixed": Kind(lambda a, b, _: ([b.p - a.p], _dots((a.x, b.y)))),
-    "revolute": Kind(lambda a, b, _: ([b.p - a.p], []), (ANGLE,)),
-    "prismatic": Kind(lambda a, b, _: (_dots((b.p - a.p, a.y)), _dots((a.x, b.y))), (Coordinate("length", "m", _along("x")),)),
-    "point_on_line": Kind(lambda a, b, _: (_dots((b.p - a.p, a.y)), []), (Coordinate("length", "m", _along("x")),), tree=False),
+PLANAR: dict[str, JointKind] = {
+    "fixed": JointKind(lambda a, b, _: ([b.p - a.p], _dots((a.x, b.y)))),
+    "revolute": JointKind(lambda a, b, _: ([b.p - a.p], []), (ANGLE,)),
+    "prismatic": JointKind(
+        lambda a, b, _: (_dots((b.p - a.p, a.y)), _dots((a.x, b.y))), (Coordinate("length", "m", _along("x")),)
+    ),
+    "point_on_line": JointKind(
+        lambda a, b, _: (_dots((b.p - a.p, a.y)), []), (Coordinate("length", "m", _along("x")),), tree=False
+    ),
     "distance": SPATIAL["distance"],
 }  # fmt: skip
 
 
 @dataclass(eq=False)
-class Joint:
+class KinematicJoint:
     """A joint between the bodies a and b (None: the ground), made by `Mechanism.joint`.
 
     at_a, at_b [m], frame_a, frame_b (columns x, y, z): in the frames of the bodies;  length [m]: of a distance
@@ -130,8 +134,8 @@ class Joint:
 
     kind: str
     name: str
-    a: Body | None
-    b: Body | None
+    a: MechanismBody | None
+    b: MechanismBody | None
     at_a: np.ndarray
     at_b: np.ndarray
     frame_a: np.ndarray
@@ -149,7 +153,7 @@ class Joint:
     start: float | None = None
 
     @property
-    def equations(self) -> Kind:
+    def equations(self) -> JointKind:
         return (PLANAR if self.planar else SPATIAL)[self.kind]
 
     @property
@@ -157,7 +161,7 @@ class Joint:
         """Its bodies, in words."""
         return " and ".join("the ground" if body is None else f"'{body.name}'" for body in (self.a, self.b))
 
-    def world(self, body: Body | None, at: np.ndarray, frame: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def world(self, body: MechanismBody | None, at: np.ndarray, frame: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Point and axes at the start, in the world."""
         return (at, frame) if body is None else (body.at(at), body.rotation @ frame)
 
@@ -195,13 +199,13 @@ def rows_at(kind: str, planar: bool) -> ca.Function:
     """The equations of a kind of points and axes in space, and their derivatives."""
     symbols = [ca.SX.sym("p_a", 3), ca.SX.sym("F_a", 3, 3), ca.SX.sym("p_b", 3), ca.SX.sym("F_b", 3, 3), ca.SX.sym("L")]
     n = 2 if planar else 3
-    a, b = (Symbols(p[:n], *(frame[:n, i] for i in range(3))) for p, frame in (symbols[:2], symbols[2:4]))
+    a, b = (SymbolicSide(p[:n], *(frame[:n, i] for i in range(3))) for p, frame in (symbols[:2], symbols[2:4]))
     position, axes = (PLANAR if planar else SPATIAL)[kind].rows(a, b, symbols[4])
     g = ca.vertcat(*position, *axes)
     return ca.Function(kind, symbols, [g, *(ca.jacobian(g, ca.vec(s)) for s in symbols[:4])])
 
 
-def motion(joint: Joint, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def motion(joint: KinematicJoint, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Displacement and rotation of the frame of b in that of a, for the coordinates q of a joint that places bodies."""
     turn, shift = np.eye(3), np.zeros(3)
     match joint.kind:
@@ -220,7 +224,7 @@ def motion(joint: Joint, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return shift, turn
 
 
-def directions(joint: Joint) -> tuple[np.ndarray, np.ndarray]:
+def directions(joint: KinematicJoint) -> tuple[np.ndarray, np.ndarray]:
     """Velocity of the point of b and angular velocity of b, seen from a, per rate of each coordinate (3 x n each)."""
     _, a, _, b = joint.sides()
     n = SIZES[joint.kind]
@@ -245,7 +249,7 @@ def directions(joint: Joint) -> tuple[np.ndarray, np.ndarray]:
 SIZES = {"fixed": 0, "revolute": 1, "prismatic": 1, "cylindrical": 2, "planar": 3, "universal": 2, "spherical": 3}
 
 
-def coordinates(joint: Joint) -> np.ndarray:
+def coordinates(joint: KinematicJoint) -> np.ndarray:
     """The coordinates nearest to the poses at the start."""
     pa, a, pb, b = joint.sides()
     shift, turn = a.T @ (pb - pa), a.T @ b
@@ -269,7 +273,7 @@ def coordinates(joint: Joint) -> np.ndarray:
     return np.zeros(0)
 
 
-def rate(joint: Joint) -> float:
+def rate(joint: KinematicJoint) -> float:
     """The rate of the coordinate of a joint with one, at the start."""
     move, turn = (m[:, 0] for m in directions(joint))
     _, _, at, _ = joint.sides()
@@ -281,7 +285,7 @@ def rate(joint: Joint) -> float:
     return total
 
 
-def known_kind(kind: str, planar: bool) -> Kind:
+def known_kind(kind: str, planar: bool) -> JointKind:
     """The kind; ValueError lists those there are."""
     there = PLANAR if planar else SPATIAL
     if kind not in there:

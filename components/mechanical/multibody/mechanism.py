@@ -16,12 +16,12 @@ import numpy as np
 
 from phfmu import PHDAE
 from phfmu.components.mechanical.multibody.assembly import Assembly, require_closed, unallowed
-from phfmu.components.mechanical.multibody.body import Body, Spring, frame_along, rotation_about, tensor
+from phfmu.components.mechanical.multibody.body import MechanismBody, Spring, frame_along, rotation_about, tensor
 from phfmu.components.mechanical.multibody.bushing import Bushing
 from phfmu.components.mechanical.multibody.contact import Compliance, ContactPair, Limits
-from phfmu.components.mechanical.multibody.equations import Equations, MechanismParts, Observed
+from phfmu.components.mechanical.multibody.equations import MechanismEquations, MechanismParts, ObservedQuantity
 from phfmu.components.mechanical.multibody.gear import Gear
-from phfmu.components.mechanical.multibody.joint import Joint, finite, known_kind
+from phfmu.components.mechanical.multibody.joint import KinematicJoint, finite, known_kind
 from phfmu.components.mechanical.multibody.mobility import Mobility, mobility
 
 
@@ -60,11 +60,11 @@ class Mechanism:
         return self.parts.planar
 
     @property
-    def bodies(self) -> list[Body]:
+    def bodies(self) -> list[MechanismBody]:
         return self.parts.bodies
 
     @property
-    def joints(self) -> list[Joint]:
+    def joints(self) -> list[KinematicJoint]:
         return self.parts.joints
 
     # -- bodies -----------------------------------------------------------------------------------------------------
@@ -82,7 +82,7 @@ class Mechanism:
         rotation: Any = None,
         velocity: Sequence[float] | None = None,
         angular_velocity: Any = None,
-    ) -> Body:
+    ) -> MechanismBody:
         """A rigid body.
 
         mass [kg];  com [m]: centre of mass in the frame of the body (default: its origin)
@@ -106,7 +106,7 @@ class Mechanism:
             own = tensor(name, inertia, mass, offset, np.eye(3) if axes is None else axes)
         return self._add(name, mass, centre, own, 3, position, rotation, velocity, angular_velocity)
 
-    def rod(self, name: str, mass: float, length: float, **start: Any) -> Body:
+    def rod(self, name: str, mass: float, length: float, **start: Any) -> MechanismBody:
         """A uniform thin rod along the x axis of its frame, from -length/2 to length/2 [m].
 
         In space it has no moment about its axis and no direction across it: joints hold points on it.  `start`: as for `body`.
@@ -123,7 +123,7 @@ class Mechanism:
 
     def point_mass(
         self, name: str, mass: float, position: Sequence[float] | None = None, velocity: Sequence[float] | None = None
-    ) -> Body:
+    ) -> MechanismBody:
         """A point mass [kg] at a position [m], with a velocity [m/s]."""
         return self._add(name, mass, np.zeros(3), np.zeros((3, 3)), 0, position, None, velocity, None)
 
@@ -133,8 +133,8 @@ class Mechanism:
         self,
         kind: str,
         name: str,
-        a: Body | None,
-        b: Body | None,
+        a: MechanismBody | None,
+        b: MechanismBody | None,
         *,
         at: Sequence[float] | None = None,
         at_a: Sequence[float] | None = None,
@@ -151,7 +151,7 @@ class Mechanism:
         turns: bool = False,
         limits: tuple[float, float] | Limits | None = None,
         restitution: float = 0.0,
-    ) -> Joint:
+    ) -> KinematicJoint:
         """A joint between the bodies a and b; None is the ground.
 
         kind:       in space fixed, revolute, prismatic, cylindrical, spherical, universal, planar, point_on_line, distance; in
@@ -183,7 +183,7 @@ class Mechanism:
             )
         ends = Limits(*limits, restitution) if isinstance(limits, tuple) else limits
         wide = ends is not None and (ends.compliance is not None or not ends.upper - ends.lower < 2 * np.pi)
-        joint = Joint(
+        joint = KinematicJoint(
             kind, name, a, b, *self._placed(name, a, b, at, at_a, at_b, axis, axis_b, x_axis), self.planar,
             0.0, damping, stiffness, neutral, "effort" if motor is True else motor or "", turns or bool(stiffness) or wide,
             armature, ends,
@@ -199,7 +199,7 @@ class Mechanism:
         self.joints.append(joint)
         return joint
 
-    def gear(self, name: str, a: Joint, b: Joint, ratio: float) -> Gear:
+    def gear(self, name: str, a: KinematicJoint, b: KinematicJoint, ratio: float) -> Gear:
         """A fixed ratio between the rates of two joints with one coordinate each: rate of b = ratio times rate of a.
 
         ratio:  of wheels in mesh -r_a/r_b, of a belt r_a/r_b [1];  of a rack, b a slider, the radius [m/rad]
@@ -216,8 +216,8 @@ class Mechanism:
     def spring(
         self,
         name: str,
-        a: tuple[Body | None, Sequence[float]],
-        b: tuple[Body | None, Sequence[float]],
+        a: tuple[MechanismBody | None, Sequence[float]],
+        b: tuple[MechanismBody | None, Sequence[float]],
         stiffness: float,
         length: float,
         damping: float = 0.0,
@@ -232,8 +232,8 @@ class Mechanism:
     def bushing(
         self,
         name: str,
-        a: Body | None,
-        b: Body | None,
+        a: MechanismBody | None,
+        b: MechanismBody | None,
         *,
         stiffness: Sequence[float],
         damping: Sequence[float] = (),
@@ -278,8 +278,8 @@ class Mechanism:
     def contact(
         self,
         name: str,
-        a: Body | None,
-        b: Body,
+        a: MechanismBody | None,
+        b: MechanismBody,
         *,
         at_a: Sequence[float] | None = None,
         at_b: Sequence[float] | None = None,
@@ -310,8 +310,8 @@ class Mechanism:
     def box_contact(
         self,
         name: str,
-        a: Body | None,
-        b: Body,
+        a: MechanismBody | None,
+        b: MechanismBody,
         size: Sequence[float],
         *,
         at_a: Sequence[float] | None = None,
@@ -341,14 +341,16 @@ class Mechanism:
             for i, corner in enumerate(corners, 1)
         ]
 
-    def observe(self, name: str, of: Body | Joint, place: Sequence[float] | None = None, description: str = "") -> None:
+    def observe(
+        self, name: str, of: MechanismBody | KinematicJoint, place: Sequence[float] | None = None, description: str = ""
+    ) -> None:
         """An observable of its own: a point of a body at a place in its frame [m], or the coordinate of a joint."""
-        if isinstance(of, Joint) and len(of.equations.coordinates) != 1:
+        if isinstance(of, KinematicJoint) and len(of.equations.coordinates) != 1:
             raise ValueError(
                 f"observable '{name}': joint '{of.name}' has {len(of.equations.coordinates)} coordinates, not one"
             )
         at = self._point(f"observable '{name}'", place)
-        self.parts.observed.append(Observed(name, of, at, description or f"{name} of {of.name}"))
+        self.parts.observed.append(ObservedQuantity(name, of, at, description or f"{name} of {of.name}"))
 
     # -- start and declaration --------------------------------------------------------------------------------------
 
@@ -403,7 +405,7 @@ class Mechanism:
             )
         for part in (*self.parts.contacts, *self.joints):
             part.require_apart(self.name)
-        return Equations(self.parts, observe).phdae()
+        return MechanismEquations(self.parts, observe).phdae()
 
     def mobility(self) -> Mobility:
         """Degrees of freedom, equations, and the joints among whose equations some are too many, at the start."""
@@ -434,7 +436,7 @@ class Mechanism:
     def _add(
         self, name: str, mass: float, com: np.ndarray, own: np.ndarray, directors: int, position: Any, rotation: Any,
         velocity: Any, angular_velocity: Any,
-    ) -> Body:  # fmt: skip
+    ) -> MechanismBody:  # fmt: skip
         if any(b.name == name for b in self.bodies):
             raise ValueError(f"{self.name}: there are two bodies called '{name}'")
         turn = np.eye(3)
@@ -451,11 +453,12 @@ class Mechanism:
         place, speed = (
             self._point(f"{what} of body '{name}'", x) for what, x in (("position", position), ("velocity", velocity))
         )
-        self.bodies.append(Body(name, float(mass), com, own, place, turn, speed, spin, directors, self.planar))
+        self.bodies.append(MechanismBody(name, float(mass), com, own, place, turn, speed, spin, directors, self.planar))
         return self.bodies[-1]
 
     def _placed(
-        self, name: str, a: Body | None, b: Body | None, at: Any, at_a: Any, at_b: Any, axis: Any, axis_b: Any, x_axis: Any
+        self, name: str, a: MechanismBody | None, b: MechanismBody | None, at: Any, at_a: Any, at_b: Any, axis: Any, axis_b: Any,
+        x_axis: Any,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
         """Places and axes in the frames of both bodies."""
         what = f"joint '{name}'"
@@ -479,7 +482,7 @@ class Mechanism:
         frames = [frame if body is None else body.rotation.T @ frame for body in (a, b)]
         return places[0], places[1], frames[0], frames[1]
 
-    def _require_directions(self, joint: Joint) -> None:
+    def _require_directions(self, joint: KinematicJoint) -> None:
         """ValueError for a joint that needs directions a rod or a point mass does not have."""
         uses = {"spherical": (), "distance": (), "point_on_line": ("a",)}.get(joint.kind, ("a", "b"))
         if self.planar and joint.kind == "revolute":

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from phfmu.components.mechanical.multibody.assembly import gear_rows, velocity_rows
-from phfmu.components.mechanical.multibody.body import Body
+from phfmu.components.mechanical.multibody.body import MechanismBody
 from phfmu.components.mechanical.multibody.gear import Gear
-from phfmu.components.mechanical.multibody.joint import Joint
+from phfmu.components.mechanical.multibody.joint import KinematicJoint
 
 #: singular values of rows of length 1 below this are zero
 DEPENDENT = 1e-9
@@ -36,7 +36,9 @@ class Mobility:
         return f"{text}: {self.equations - self.rank} too many, among those of {names}; their forces are not unique"
 
 
-def mobility(bodies: Sequence[Body], joints: Sequence[Joint], gears: Sequence[Gear], planar: bool) -> Mobility:
+def mobility(
+    bodies: Sequence[MechanismBody], joints: Sequence[KinematicJoint], gears: Sequence[Gear], planar: bool
+) -> Mobility:
     """From the velocities that joints and gears allow at the start, with lengths in units of the mechanism."""
     place = {id(b): 6 * i for i, b in enumerate(bodies)}
     n = 6 * len(bodies)
@@ -55,7 +57,7 @@ def mobility(bodies: Sequence[Body], joints: Sequence[Joint], gears: Sequence[Ge
     return Mobility(rows.shape[1] - rank, len(rows), rank, tuple(redundant))
 
 
-def _free(body: Body, planar: bool, first: int, n: int) -> np.ndarray:
+def _free(body: MechanismBody, planar: bool, first: int, n: int) -> np.ndarray:
     """Directions among all velocities in which a body can move (n x its freedom); a rod does not turn about itself."""
     turning = {0: np.zeros((3, 0)), 1: (body.rotation @ body.axes)[:, 1:], 3: np.eye(3)}[body.directors]
     if planar:

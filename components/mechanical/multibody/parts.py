@@ -57,7 +57,7 @@ class DrivenPoint:
 
 
 @dataclass(frozen=True, eq=False)
-class Combined:
+class LinearCombination:
     """A point or vector fixed + sum W_i q_i of particles: of a rigid body, say, c + r_1 d_1 + r_2 d_2 + r_3 d_3.
 
     terms: (particle, weight W_i [1]), a number or an expression of parameters, or a dim x dim matrix of them
@@ -68,14 +68,14 @@ class Combined:
     fixed: Any = None
 
 
-Point = Particle | Support | MovingSupport | DrivenPoint | Combined
+Point = Particle | Support | MovingSupport | DrivenPoint | LinearCombination
 Places = Callable[[Point], ca.SX]
 #: rate(at, speed) of positions and velocities of points, linear in the velocities
 Rate = Callable[[Places, Places], ca.SX]
 
 
 @dataclass(frozen=True)
-class Spring:
+class ElasticBond:
     """An elastic bond with the energy potential(s) of s = |b - a|^2."""
 
     a: Point
@@ -142,7 +142,7 @@ class RatePort:
 class RateDamper:
     """The dissipation |rate|^2 value of the rate J(q) v of `points`.
 
-    value: a number, a parameter, or value(d) as of `Reported`
+    value: a number, a parameter, or value(d) as of `PositionObservable`
     """
 
     points: tuple[Point, ...]
@@ -163,7 +163,7 @@ class RateIntegral:
 
 
 @dataclass(frozen=True)
-class Contact:
+class HardContact:
     """A hard contact 0 <= gap: where it closes, the rate of the gap jumps from c to -restitution c.
 
     gap: of a declaration, made of positions and of integrals of rates;  restitution: a parameter
@@ -178,7 +178,7 @@ class Contact:
 
 
 @dataclass(frozen=True)
-class Reported:
+class PositionObservable:
     """An observable of positions, velocities and `multiplier(label)` of constraints."""
 
     name: str
@@ -199,7 +199,7 @@ class Solid:
 
 
 @dataclass
-class Parts:
+class ParticleSystem:
     """The parts of a system in `dim` dimensions, in the order they were added; `Declaration` makes its equations of them."""
 
     name: str
@@ -208,7 +208,7 @@ class Parts:
     masses: list[PointMass] = field(default_factory=list)
     parameters: list[Variable] = field(default_factory=list)
     driven: list[DrivenPoint] = field(default_factory=list)
-    springs: list[Spring] = field(default_factory=list)
+    springs: list[ElasticBond] = field(default_factory=list)
     strains: list[Strain] = field(default_factory=list)
     potentials: list[Callable[[Places], ca.SX]] = field(default_factory=list)
     dampers: list[Damper] = field(default_factory=list)
@@ -217,8 +217,8 @@ class Parts:
     rate_ports: list[RatePort] = field(default_factory=list)
     rate_dampers: list[RateDamper] = field(default_factory=list)
     integrals: list[RateIntegral] = field(default_factory=list)
-    contacts: list[Contact] = field(default_factory=list)
-    reported: list[Reported] = field(default_factory=list)
+    contacts: list[HardContact] = field(default_factory=list)
+    reported: list[PositionObservable] = field(default_factory=list)
     #: name, the particle it acts on, the one it reacts on
     ports: list[tuple[str, Particle, Particle | None]] = field(default_factory=list)
     gravity: tuple[float, ...] | None = None

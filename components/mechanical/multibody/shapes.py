@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from phfmu import Place, Shape, ShapeKind, Tension, Variable
 from phfmu.components.mechanical.multibody.parts import (
-    Combined,
+    LinearCombination,
     MovingSupport,
     Particle,
-    Parts,
+    ParticleSystem,
     Point,
     Solid,
     Support,
@@ -24,14 +24,14 @@ from phfmu.components.mechanical.multibody.parts import (
 Floats = NDArray[np.float64]
 
 
-class Built(Protocol):
+class PictureSource(Protocol):
     """A declaration in the making: its parts, and the positions `q` of its particles."""
 
-    parts: Parts
+    parts: ParticleSystem
     q: Variable
 
 
-def shapes(built: Built) -> tuple[Shape, ...]:
+def shapes(built: PictureSource) -> tuple[Shape, ...]:
     """Balls for the masses, rods for the bars, springs, pins for the supports that these end at, and the solids asked for.
 
     Masses that gravity does not act on are directors of bodies, and no points of space; those that a solid stands for have no
@@ -57,7 +57,7 @@ def shapes(built: Built) -> tuple[Shape, ...]:
     return (*balls, *solids, *_lines(parts, space), *pins)
 
 
-def _lines(parts: Parts, space: _Space) -> Iterator[Shape]:
+def _lines(parts: ParticleSystem, space: _Space) -> Iterator[Shape]:
     """Bars with their tension, multiplier times length, and springs; not those of points that are led by a function of time."""
     for i, bar in enumerate(parts.bars):
         if not any(isinstance(p, MovingSupport) for p in bar.points):
@@ -70,7 +70,7 @@ def _lines(parts: Parts, space: _Space) -> Iterator[Shape]:
 class _Space:
     """The axes of a system in the space of a picture, where the plane of two dimensions stands upright."""
 
-    def __init__(self, built: Built):
+    def __init__(self, built: PictureSource):
         self._built, self._dim, gravity = built, built.parts.dim, built.parts.gravity
         into = np.eye(3)[:, [0, 2] if self._dim == 2 else list(range(self._dim))]
         down = np.zeros(3) if gravity is None else into @ np.array(gravity)
@@ -91,7 +91,7 @@ class _Space:
         """A point that no function of time leads."""
         if isinstance(point, Support):
             return Place(_vector(self._map @ np.array(point.position)))
-        if isinstance(point, Combined):
+        if isinstance(point, LinearCombination):
             return self._combined(point)
         names = (
             self._entries(point)
@@ -104,7 +104,7 @@ class _Space:
         """The names of its coordinates."""
         return [f"q[{particle.number * self._dim + i + 1}]" for i in range(self._dim)]
 
-    def _combined(self, point: Combined) -> Place:
+    def _combined(self, point: LinearCombination) -> Place:
         """The linear form of a point, with the parameters of its weights at their starts."""
         slope: dict[str, Floats] = {}
         for particle, weight in point.terms:

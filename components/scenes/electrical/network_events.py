@@ -1,4 +1,4 @@
-"""What networks are asked for first: short circuits of any kind, an inverter in a weak grid, iron that saturates."""
+"""Events that networks are studied for first: short circuits of any kind, an inverter in a weak grid, iron that saturates."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from phfmu.words import counted
 
 if TYPE_CHECKING:
-    from phfmu.declare.entries.parameter_limits import Limit
+    from phfmu.declare.entries.parameter_limits import ParameterLimit
     from phfmu.declare.event import StateEvent
     from phfmu.declare.phdae import PHDAE
     from phfmu.declare.variable import Variable
@@ -262,7 +262,7 @@ def _rank(declaration: PHDAE, target: str) -> str:
         return f"constraints: their rank is not known, the declaration has problems (phfmu check {target})"
 
 
-def _limit(limits: dict[str, Limit], v: Variable) -> str:
+def _limit(limits: dict[str, ParameterLimit], v: Variable) -> str:
     """The limits of a parameter in brackets; entries of a vector share them as a rule."""
     found = dict.fromkeys(str(limits[n]) for n in v.names() if n in limits)
     return f"({'; '.join(found)})" if found else ""

@@ -15,12 +15,12 @@ from phfmu.declare.entries.entry_kind import EntryKind
 from phfmu.declare.error import Problem
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import Port
-from phfmu.declare.variable import Value, Variable, VariableKind, _sx, key, time
+from phfmu.declare.variable import ValueKind, Variable, VariableKind, _sx, key, time
 
-_ENERGY = (Value.STATE, Value.PARAMETER)
-_ALL = (Value.STATE, Value.COSTATE, Value.ALGEBRAIC, Value.INPUT, Value.PARAMETER, Value.TIME)
+_ENERGY = (ValueKind.STATE, ValueKind.PARAMETER)
+_ALL = (ValueKind.STATE, ValueKind.COSTATE, ValueKind.ALGEBRAIC, ValueKind.INPUT, ValueKind.PARAMETER, ValueKind.TIME)
 #: what each entry may depend on (z2: the given effort of an algebraic variable; L, e: columns and restitutions of jumps)
-ALLOWED: dict[EntryKind, tuple[Value, ...]] = {
+ALLOWED: dict[EntryKind, tuple[ValueKind, ...]] = {
     **dict.fromkeys(
         (EntryKind.H, EntryKind.E, EntryKind.COSTATE, EntryKind.INVARIANT, EntryKind.COLUMN, EntryKind.RESTITUTION),
         _ENERGY,
@@ -28,25 +28,25 @@ ALLOWED: dict[EntryKind, tuple[Value, ...]] = {
     **dict.fromkeys(
         (EntryKind.J, EntryKind.R, EntryKind.B, EntryKind.EFFORT, EntryKind.OBSERVABLE, EntryKind.GUARD), _ALL
     ),
-    EntryKind.CONSTRAINT: (*_ENERGY, Value.TIME),
-    EntryKind.SOURCE: (Value.PARAMETER, Value.TIME),
-    EntryKind.BOUND: (Value.ALGEBRAIC,),
+    EntryKind.CONSTRAINT: (*_ENERGY, ValueKind.TIME),
+    EntryKind.SOURCE: (ValueKind.PARAMETER, ValueKind.TIME),
+    EntryKind.BOUND: (ValueKind.ALGEBRAIC,),
 }
 #: and which variables it may stand on, where that is not states and algebraic variables
-_ON: dict[EntryKind, tuple[Value, ...]] = {
+_ON: dict[EntryKind, tuple[ValueKind, ...]] = {
     **dict.fromkeys(
-        (EntryKind.E, EntryKind.COSTATE, EntryKind.CLOSED, EntryKind.CORRECT, EntryKind.COLUMN), (Value.STATE,)
+        (EntryKind.E, EntryKind.COSTATE, EntryKind.CLOSED, EntryKind.CORRECT, EntryKind.COLUMN), (ValueKind.STATE,)
     ),
-    **dict.fromkeys((EntryKind.EFFORT, EntryKind.CONSTRAINT), (Value.ALGEBRAIC,)),
-    **dict.fromkeys((EntryKind.J, EntryKind.R), (Value.STATE, Value.ALGEBRAIC, Value.INPUT)),
+    **dict.fromkeys((EntryKind.EFFORT, EntryKind.CONSTRAINT), (ValueKind.ALGEBRAIC,)),
+    **dict.fromkeys((EntryKind.J, EntryKind.R), (ValueKind.STATE, ValueKind.ALGEBRAIC, ValueKind.INPUT)),
 }
 _WORDS = {
-    Value.STATE: "states",
-    Value.COSTATE: "costates",
-    Value.ALGEBRAIC: "algebraic variables",
-    Value.INPUT: "inputs",
-    Value.PARAMETER: "parameters",
-    Value.TIME: "time",
+    ValueKind.STATE: "states",
+    ValueKind.COSTATE: "costates",
+    ValueKind.ALGEBRAIC: "algebraic variables",
+    ValueKind.INPUT: "inputs",
+    ValueKind.PARAMETER: "parameters",
+    ValueKind.TIME: "time",
 }
 
 
@@ -54,7 +54,7 @@ _WORDS = {
 class Symbol:
     """The meaning of a scalar symbol of a declaration, and its name."""
 
-    kind: Value
+    kind: ValueKind
     name: str
 
 
@@ -74,7 +74,7 @@ class Entry:
 
 
 @dataclass(frozen=True, eq=False)
-class Pair:
+class PairEntry:
     """A sound closed-form pair with its increment symbols d and the expressions at (x, d)."""
 
     label: str
@@ -92,7 +92,7 @@ class Entries:
     model: PHDAE
     known: dict[int, Symbol] = field(init=False)
     sound: list[Entry] = field(default_factory=list)
-    pairs: list[Pair] = field(default_factory=list)
+    pairs: list[PairEntry] = field(default_factory=list)
     problems: list[Problem] = field(default_factory=list)
     #: hashes of the algebraic variables whose entries were left out: nothing is known about them
     doubtful: set[int] = field(default_factory=set)
@@ -101,23 +101,27 @@ class Entries:
 
     def __post_init__(self) -> None:
         m = self.model
-        self.known = {time.element_hash(): Symbol(Value.TIME, "time")}
-        declared = ((Value.STATE, m.states), (Value.ALGEBRAIC, m.algebraics), (Value.PARAMETER, m.parameters))
+        self.known = {time.element_hash(): Symbol(ValueKind.TIME, "time")}
+        declared = (
+            (ValueKind.STATE, m.states),
+            (ValueKind.ALGEBRAIC, m.algebraics),
+            (ValueKind.PARAMETER, m.parameters),
+        )
         for kind, variables in declared:
             for v in variables:
                 for j, name in enumerate(v.names()):
                     self.known[v.sx[j].element_hash()] = Symbol(kind, name)
-                    if kind is Value.STATE:
-                        self.known[v.z[j].element_hash()] = Symbol(Value.COSTATE, f"z of {name}")
+                    if kind is ValueKind.STATE:
+                        self.known[v.z[j].element_hash()] = Symbol(ValueKind.COSTATE, f"z of {name}")
         for port in m.ports:
             for j in range(port.u.numel()):
-                self.known[port.u[j].element_hash()] = Symbol(Value.INPUT, f"input {j + 1} of {port.name}")
+                self.known[port.u[j].element_hash()] = Symbol(ValueKind.INPUT, f"input {j + 1} of {port.name}")
 
     def of(self, *what: EntryKind) -> list[Entry]:
         """Sound entries of these kinds."""
         return [e for e in self.sound if e.what in what]
 
-    def kind(self, v: Variable | Port) -> Value | None:
+    def kind(self, v: Variable | Port) -> ValueKind | None:
         """Kind of a variable, "" if it is not declared."""
         found = self.known.get(key(v))
         return None if found is None else found.kind
@@ -186,7 +190,7 @@ class Entries:
         return ok
 
     def _rows(self, what: EntryKind, label: str, rows: Sequence[Variable | Port]) -> bool:
-        allowed = _ON.get(what, (Value.STATE, Value.ALGEBRAIC))
+        allowed = _ON.get(what, (ValueKind.STATE, ValueKind.ALGEBRAIC))
         bad = [v for v in rows if self.kind(v) not in allowed]
         for v in bad:
             words = " or ".join(_WORDS[k] for k in allowed)
@@ -301,6 +305,6 @@ def _closed(e: Entries, pair: ClosedPair, label: str) -> None:
         ok = e.add(what, f"{label}: {name}", expr, shape, origin=pair) and ok
         del e.sound[before:]
     if ok:
-        e.pairs.append(Pair(label, pair, x, d, discrete.get("ebar"), discrete.get("zbar")))
+        e.pairs.append(PairEntry(label, pair, x, d, discrete.get("ebar"), discrete.get("zbar")))
     else:
         e.leave_out(EntryKind.E, pair.variables)

@@ -19,7 +19,7 @@ from phfmu.declare.energy import EnergyKind
 from phfmu.declare.entries.entries import Entries, normal_form
 from phfmu.declare.entries.entry_kind import EntryKind
 from phfmu.declare.phdae import PHDAE
-from phfmu.declare.variable import Value, Variable
+from phfmu.declare.variable import ValueKind, Variable
 
 Array = NDArray[np.float64]
 
@@ -30,7 +30,7 @@ DRAWS = 3
 
 
 @dataclass(frozen=True)
-class Limit:
+class ParameterLimit:
     """min <= value <= max; `above`: min itself is not allowed.
 
     `because`: what proves a derived limit;  `waived`: a declaration may do without it, with `min=-inf`
@@ -60,7 +60,7 @@ class _Sign:
     energy: bool = False
 
 
-def limits(model: PHDAE) -> dict[str, Limit]:
+def limits(model: PHDAE) -> dict[str, ParameterLimit]:
     """Scalar name of a parameter -> its limit; parameters without one are left out."""
     if not model.parameters:
         return {}
@@ -69,37 +69,37 @@ def limits(model: PHDAE) -> dict[str, Limit]:
     return limits_of(entries)
 
 
-def limits_of(entries: Entries) -> dict[str, Limit]:
+def limits_of(entries: Entries) -> dict[str, ParameterLimit]:
     """The same from the sound entries of a model."""
     return _limits(entries.model, _derived(entries))
 
 
-def declared_limits(model: PHDAE) -> dict[str, Limit]:
+def declared_limits(model: PHDAE) -> dict[str, ParameterLimit]:
     """Those that are declared; the derived ones hold wherever a parameter is positive."""
     return _limits(model, {})
 
 
-def _limits(model: PHDAE, proven: Mapping[str, Limit]) -> dict[str, Limit]:
+def _limits(model: PHDAE, proven: Mapping[str, ParameterLimit]) -> dict[str, ParameterLimit]:
     found = {}
     for v in model.parameters:
         for j, name in enumerate(v.names()):
-            limit = _declared(v, j, proven.get(name, Limit()))
+            limit = _declared(v, j, proven.get(name, ParameterLimit()))
             if limit.min > -np.inf or limit.max < np.inf:
                 found[name] = limit
     return found
 
 
-def _declared(v: Variable, j: int, proven: Limit) -> Limit:
+def _declared(v: Variable, j: int, proven: ParameterLimit) -> ParameterLimit:
     """The declared limit of entry j; what is not declared is `proven`."""
     low, high = None if v.min is None else v.min[j], np.inf if v.max is None else v.max[j]
     if v.positive:
-        return Limit(max(low or 0.0, 0.0), high, above=low is None or low <= 0.0)
+        return ParameterLimit(max(low or 0.0, 0.0), high, above=low is None or low <= 0.0)
     if low is None:
         return replace(proven, max=high)
-    return Limit(low, high, proven.above and low == 0.0)
+    return ParameterLimit(low, high, proven.above and low == 0.0)
 
 
-def _derived(entries: Entries) -> dict[str, Limit]:
+def _derived(entries: Entries) -> dict[str, ParameterLimit]:
     """Scalar name -> the limit the declaration proves."""
     p = ca.vertcat(*(v.sx for v in entries.model.parameters))
     names = [n for v in entries.model.parameters for n in v.names()]
@@ -110,7 +110,7 @@ def _derived(entries: Entries) -> dict[str, Limit]:
     rows = [*signs, *masses]
     depends = _pattern(ca.vertcat(*(s.expr for s in rows)), p)
     values = _Trials(ca.vertcat(*(s.expr for s in rows)), p)
-    found: dict[str, Limit] = {}
+    found: dict[str, ParameterLimit] = {}
     for colour in _colours(depends):
         up, down, zero = (values.at(colour, sign) for sign in (1.0, -1.0, 0.0))
         for j in colour:
@@ -120,7 +120,7 @@ def _derived(entries: Entries) -> dict[str, Limit]:
                 continue
             singular = [i for i in mine if not np.isfinite(zero[i]).all() or (rows[i].mass and (zero[i] == 0).any())]
             first = signs[proofs[0]]
-            found[names[j]] = Limit(0.0, above=bool(singular), because=first.what, waived=first.energy)
+            found[names[j]] = ParameterLimit(0.0, above=bool(singular), because=first.what, waived=first.energy)
     return found
 
 
@@ -188,7 +188,7 @@ def _curvature(entries: Entries) -> Iterator[_Sign]:
     )
     elsewhere = {s.element_hash() for s in ca.symvar(general)}
     total = ca.sum1(ca.vertcat(*quadratic))
-    x = [s for s in ca.symvar(total) if entries.known[s.element_hash()].kind is Value.STATE]
+    x = [s for s in ca.symvar(total) if entries.known[s.element_hash()].kind is ValueKind.STATE]
     diagonal = ca.diag(ca.hessian(total, ca.vertcat(*x))[0])
     for j, s in enumerate(x):
         if s.element_hash() not in elsewhere and not diagonal[j].is_zero():

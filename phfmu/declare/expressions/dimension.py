@@ -93,7 +93,7 @@ Known = Dimension | Number | None
 
 
 @dataclass
-class Walk:
+class DimensionAnalysis:
     """Dimensions of the nonzero entries of `expr`; `clashes`: what does not fit inside it, in words."""
 
     expr: ca.SX

@@ -25,7 +25,7 @@ def as_strain(term: Energy, states: AbstractSet[int]) -> Energy:
     if term.kind is not EnergyKind.GENERAL or term.correct:
         return term
     x = ca.vertcat(*(s for s in ca.symvar(term.expr) if s.element_hash() in states))
-    found = _Walk(x).of(term.expr) if x.numel() > 1 else None
+    found = _InvariantSearch(x).of(term.expr) if x.numel() > 1 else None
     if found is None or not _is_length(found[0], x):
         return term
     invariant, s, phi = found
@@ -39,15 +39,15 @@ def as_strain(term: Energy, states: AbstractSet[int]) -> Energy:
 
 
 @dataclass(frozen=True)
-class _Value:
+class _PolynomialValue:
     """A value of a walk: degree 0, 1 or 2 in x, or None for a function of the symbol that stands for C."""
 
     expr: ca.SX
     degree: int | None
 
 
-class _Walk:
-    """Through the operations of a function: everything that is not quadratic in x depends on one quadratic value C."""
+class _InvariantSearch:
+    """Search for C through the operations of a function: all that is not quadratic in x depends on one quadratic C."""
 
     def __init__(self, x: ca.SX):
         self.x, self.s = x, ca.SX.sym("s")
@@ -56,16 +56,16 @@ class _Walk:
     def of(self, expr: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX] | None:
         """C, s and phi(s); None if `expr` is of another form."""
         f, rest = function_of(ca.cse(expr), self.x)
-        held: dict[int, _Value] = {}
+        held: dict[int, _PolynomialValue] = {}
         result = None
         for n in instructions(f):
             if n.op == ca.OP_OUTPUT:
                 result = held[n.inputs[0]]
             elif n.op == ca.OP_INPUT:
                 own = n.inputs[0] == 0
-                held[n.outputs[0]] = _Value((self.x if own else rest)[n.inputs[1]], int(own))
+                held[n.outputs[0]] = _PolynomialValue((self.x if own else rest)[n.inputs[1]], int(own))
             elif n.op == ca.OP_CONST:
-                held[n.outputs[0]] = _Value(ca.SX(n.value), 0)
+                held[n.outputs[0]] = _PolynomialValue(ca.SX(n.value), 0)
             else:
                 value = self._result(n, [held[i] for i in n.inputs])
                 if value is None:
@@ -75,16 +75,16 @@ class _Walk:
             return None
         return self.invariant, self.s, result.expr
 
-    def _result(self, n: Instruction, given: list[_Value]) -> _Value | None:
+    def _result(self, n: Instruction, given: list[_PolynomialValue]) -> _PolynomialValue | None:
         if all(v.degree is not None for v in given):
             found = degree_of(n, [float(v.degree or 0) for v in given], [_number(v.expr) for v in given])
             if found <= 2:
-                return _Value(operation(n.op, [v.expr for v in given]), int(found))
+                return _PolynomialValue(operation(n.op, [v.expr for v in given]), int(found))
         exprs = [self._through(v) for v in given]
         known = [e for e in exprs if e is not None]
-        return _Value(operation(n.op, known), None) if len(known) == len(exprs) else None
+        return _PolynomialValue(operation(n.op, known), None) if len(known) == len(exprs) else None
 
-    def _through(self, v: _Value) -> ca.SX | None:
+    def _through(self, v: _PolynomialValue) -> ca.SX | None:
         """The value by the symbol; None for one that is not a function of C."""
         if v.degree in (0, None):
             return v.expr

@@ -58,7 +58,7 @@ class UnitError(ValueError):
 
 
 @dataclass(frozen=True)
-class Unit:
+class PhysicalUnit:
     """`factor` times the product of BASE symbols to `exponents` (same order as BASE)."""
 
     text: str
@@ -83,7 +83,7 @@ def _symbol(text: str, token: str) -> tuple[float, dict[str, int]]:
 
 
 @cache
-def parse_unit(text: str) -> Unit:
+def parse_unit(text: str) -> PhysicalUnit:
     """Parse `text` (factors separated by `.`, `*` or `/`; everything after a `/` divides until the next one)."""
     exponents: dict[str, int] = dict.fromkeys(BASE, 0)
     factor = 1.0
@@ -102,7 +102,7 @@ def parse_unit(text: str) -> Unit:
             factor *= value**power
             for base, exponent in exps.items():
                 exponents[base] += power * exponent
-    return Unit(text, factor, tuple(exponents[b] for b in BASE))
+    return PhysicalUnit(text, factor, tuple(exponents[b] for b in BASE))
 
 
 def unit_text(exponents: Sequence[Fraction | int], factor: float) -> str:

@@ -17,7 +17,7 @@ from phfmu.declare.entries.coefficients import stacked
 from phfmu.declare.error import DeclarationError, Problem
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.transform.inverse import inverted
-from phfmu.declare.transform.maps import Maps
+from phfmu.declare.transform.maps import CoordinateMaps
 from phfmu.declare.transform.regular import undetermined
 from phfmu.declare.variable import Variable, VariableKind, _sx, key, slices
 
@@ -26,7 +26,7 @@ Array = NDArray[Any]
 ITERATIONS = 50
 
 
-def solved_starts(T: Maps, old: Array, p: Array, parameters: ca.SX, model: str) -> Array:
+def solved_starts(T: CoordinateMaps, old: Array, p: Array, parameters: ca.SX, model: str) -> Array:
     """x~ with phi(x~) = x, by Newton from the starts of the new variables.
 
     DeclarationError if there is none nearby, or if Dphi or U is singular there.
@@ -92,10 +92,10 @@ POINTS = 5
 ZERO = 1e-12
 
 
-class Change:
+class VariableChange:
     """Old and new variables of one transformation of one model, with the substitutions between them."""
 
-    def __init__(self, model: PHDAE, T: Maps):
+    def __init__(self, model: PHDAE, T: CoordinateMaps):
         own = {key(v): v for v in (*model.states, *model.algebraics)}
         missing = [v.name for v in T.old if key(v) not in own]
         if missing:

@@ -13,7 +13,7 @@ from phfmu.declare.variable import Variable, _sx, time
 
 
 @dataclass(frozen=True, eq=False)
-class Maps:
+class CoordinateMaps:
     """x = phi(x~) and the matrix U(x~) of the rows; DeclarationError if their shapes do not fit or time is in them.
 
     phi:  old variable -> expression of the new ones and of parameters;  new: the new variables;  U: (n x n), default identity
@@ -85,13 +85,13 @@ class Maps:
         found = ca.symvar(ca.vertcat(ca.vec(self.image), ca.vec(ca.SX(self.U))))
         return tuple(s for s in found if s.element_hash() not in own)
 
-    def extended(self, also: Sequence[Variable]) -> Maps:
+    def extended(self, also: Sequence[Variable]) -> CoordinateMaps:
         """The same maps with further variables mapped to themselves."""
         also = [v for v in also if v not in self.phi]
         if not also:
             return self
         phi = {**self.phi, **{v: v.sx for v in also}}
-        return Maps(phi, (*self.new, *also), ca.diagcat(self.U, ca.SX.eye(sum(v.n for v in also))))
+        return CoordinateMaps(phi, (*self.new, *also), ca.diagcat(self.U, ca.SX.eye(sum(v.n for v in also))))
 
 
 def listed(variables: Sequence[Variable]) -> str:

@@ -19,13 +19,13 @@ import numpy as np
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.transform.inverse import inverted
-from phfmu.declare.transform.maps import Maps, listed
+from phfmu.declare.transform.maps import CoordinateMaps, listed
 from phfmu.declare.transform.transformed import transformed
 from phfmu.declare.variable import Variable, _sx
 
 
 @dataclass(frozen=True, eq=False)
-class SystemTransformation(Maps):
+class SystemTransformation(CoordinateMaps):
     """An invertible system transformation (phi, U) of some variables; all others stay as they are.
 
     phi:  old variable -> expression of the new ones (and of parameters), in old units

@@ -16,14 +16,14 @@ from phfmu.declare.error import DeclarationError
 from phfmu.declare.observable import Observable
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import Port
-from phfmu.declare.transform.change import Change
-from phfmu.declare.transform.maps import Maps
+from phfmu.declare.transform.change import VariableChange
+from phfmu.declare.transform.maps import CoordinateMaps
 from phfmu.declare.transform.transformed_constraints import velocity_form
 from phfmu.declare.transform.transformed_pair import costates, descriptor, singular_costates
 from phfmu.declare.variable import VariableKind, key
 
 
-def transformed(model: PHDAE, T: Maps) -> PHDAE:
+def transformed(model: PHDAE, T: CoordinateMaps) -> PHDAE:
     """`model` in the new variables of `T`; see `SystemTransformation`."""
     if model.state_events or model.switches:
         named = [e.guard.name for e in model.state_events] + [s.name for s in model.switches]
@@ -33,7 +33,7 @@ def transformed(model: PHDAE, T: Maps) -> PHDAE:
             "change the variables first, and declare the events in the new ones", "symbol",
         )  # fmt: skip
     model = velocity_form(model, T)
-    change = Change(model, T)
+    change = VariableChange(model, T)
     E = descriptor(change)
     z = costates(change)
     energies = tuple(_energy(change, e) for e in model.energies)
@@ -51,7 +51,7 @@ def transformed(model: PHDAE, T: Maps) -> PHDAE:
     )
 
 
-def _energy(change: Change, e: Energy) -> Energy:
+def _energy(change: VariableChange, e: Energy) -> Energy:
     """H o phi, without the new algebraic variables; a quadratic or strain term stays one if phi is affine."""
     if not ca.depends_on(e.expr, ca.vertcat(*(v.sx for v in change.old))):
         return e
@@ -80,7 +80,7 @@ def _energy(change: Change, e: Energy) -> Energy:
     return replace(e, expr=without(e.expr), invariant=invariant, correct=correct)
 
 
-def _require_independent(change: Change, e: Energy, h: ca.SX, a: ca.SX) -> None:
+def _require_independent(change: VariableChange, e: Energy, h: ca.SX, a: ca.SX) -> None:
     x = ca.vertcat(*(v.sx for v in change.old))
     size = ca.mtimes(ca.fabs(change.T.jacobian[:, change.algebraics]).T, ca.fabs(change.at_old(ca.gradient(e.expr, x))))
     value, scale = change.sampled([ca.densify(ca.gradient(h, a)), ca.densify(size)])
@@ -97,7 +97,7 @@ def _require_independent(change: Change, e: Energy, h: ca.SX, a: ca.SX) -> None:
         )
 
 
-def _projection(change: Change, variables: Sequence[Any]) -> tuple[list[Any], ca.SX]:
+def _projection(change: VariableChange, variables: Sequence[Any]) -> tuple[list[Any], ca.SX]:
     """New rows of a block and P with z_old = P z_new on the rows of `variables`."""
     kept = [v for v in variables if key(v) not in change.row]
     rows = sum(v.n for v in variables)
@@ -116,7 +116,7 @@ def _projection(change: Change, variables: Sequence[Any]) -> tuple[list[Any], ca
     return [v for v, _ in used], ca.horzcat(*(p for _, p in used))
 
 
-def _block(change: Change, b: Block, sign: int) -> Block:
+def _block(change: VariableChange, b: Block, sign: int) -> Block:
     """P^T M P, exactly skew (sign -1) or symmetric (sign 1); a block with a factor G has G P."""
     b = b.changed(change.expr)
     if not any(key(v) in change.row for v in b.variables):
@@ -130,7 +130,7 @@ def _block(change: Change, b: Block, sign: int) -> Block:
     return replace(b, variables=tuple(variables), value=ca.sparsify(upper + sign * ca.triu(matrix, False).T))
 
 
-def _port(change: Change, p: Port) -> Port:
+def _port(change: VariableChange, p: Port) -> Port:
     """B~ = P^T B."""
     on = {v: change.expr(m) for v, m in p.on.items() if key(v) not in change.row}
     touched = [v for v in p.on if key(v) in change.row]
@@ -146,7 +146,7 @@ def _port(change: Change, p: Port) -> Port:
     return replace(p, on=on)
 
 
-def _reported(change: Change) -> tuple[Observable, ...]:
+def _reported(change: VariableChange) -> tuple[Observable, ...]:
     """The old variables as observables."""
     new = {key(v) for v in change.new}
     return tuple(

@@ -13,11 +13,11 @@ from phfmu.declare.expressions.dimension import constraint_unit
 from phfmu.declare.holonomic import Holonomic
 from phfmu.declare.observable import observable
 from phfmu.declare.phdae import PHDAE
-from phfmu.declare.transform.maps import Maps
+from phfmu.declare.transform.maps import CoordinateMaps
 from phfmu.declare.variable import Variable
 
 
-def velocity_form(model: PHDAE, T: Maps) -> PHDAE:
+def velocity_form(model: PHDAE, T: CoordinateMaps) -> PHDAE:
     """Constraints that `T` touches become blocks -Dg^T on the velocities, Dg on the multiplier; g is reported as `g.<name>`.
 
     g stays exact along Gauss nodes while it is at most quadratic.  DeclarationError if the start violates g.

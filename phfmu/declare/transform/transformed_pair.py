@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from phfmu.declare.entries.coefficients import square, stacked
 from phfmu.declare.error import DeclarationError
-from phfmu.declare.transform.change import ZERO, Change, span
+from phfmu.declare.transform.change import ZERO, VariableChange, span
 from phfmu.declare.transform.inverse import blocks
 from phfmu.declare.transform.regular import undetermined
 from phfmu.declare.variable import Variable, VariableKind, key
@@ -22,7 +22,7 @@ Array = NDArray[Any]
 Key = Variable | tuple[Variable, ...]
 
 
-def costates(change: Change) -> dict[Variable, Any]:
+def costates(change: VariableChange) -> dict[Variable, Any]:
     """Given efforts: those of unchanged variables, and z2~ of new algebraic variables where it is not x2~."""
     out: dict[Variable, Any] = {v: change.at_old(e) for v, e in change.model.z.items() if key(v) not in change.row}
     if not change.algebraics:
@@ -38,7 +38,7 @@ def costates(change: Change) -> dict[Variable, Any]:
     return out
 
 
-def _old_costates(change: Change, rows: ca.SX) -> ca.SX:
+def _old_costates(change: VariableChange, rows: ca.SX) -> ca.SX:
     """z o phi of the old variables, given or from z~ of the new states; needed where `rows` has entries."""
     z = ca.vertcat(*(v.z if v.kind is VariableKind.STATE else ca.SX(v.n, 1) for v in change.new))
     given = {key(v): e for v, e in change.model.z.items()}
@@ -68,7 +68,7 @@ def _old_costates(change: Change, rows: ca.SX) -> ca.SX:
     return ca.vertcat(*parts)
 
 
-def descriptor(change: Change) -> dict[Key, Any]:
+def descriptor(change: VariableChange) -> dict[Key, Any]:
     """E~ in blocks, without the identity ones; DeclarationError unless algebraic rows and columns vanish."""
     E = ca.diag(ca.vertcat(*(ca.SX.ones(v.n) if v.kind is VariableKind.STATE else ca.SX(v.n, 1) for v in change.old)))
     out: dict[Key, Any] = {}
@@ -84,7 +84,7 @@ def descriptor(change: Change) -> dict[Key, Any]:
     return out | _grouped([v for v in change.new if v.kind is VariableKind.STATE], change.column, new, value)
 
 
-def _require_semi_explicit(change: Change, value: Array) -> None:
+def _require_semi_explicit(change: VariableChange, value: Array) -> None:
     names = [n for v in change.new for n in v.names()]
     for i, j in np.argwhere((value != 0).any(axis=0)):
         if i in change.algebraics or j in change.algebraics:
@@ -99,7 +99,7 @@ def _require_semi_explicit(change: Change, value: Array) -> None:
             )
 
 
-def singular_costates(change: Change, E: dict[Key, Any]) -> dict[Variable, Any]:
+def singular_costates(change: VariableChange, E: dict[Key, Any]) -> dict[Variable, Any]:
     """Given z~ of new states whose E~ is singular: H and E~ do not determine it."""
     out: dict[Variable, Any] = {}
     for where, matrix in E.items():
@@ -124,7 +124,7 @@ def singular_costates(change: Change, E: dict[Key, Any]) -> dict[Variable, Any]:
     return out
 
 
-def _given(change: Change, v: Variable) -> Any:
+def _given(change: VariableChange, v: Variable) -> Any:
     return next((e for w, e in change.model.z.items() if key(w) == key(v)), v.sx)
 
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from phfmu.derivatives.apart.joint_maps import AnyMaps
 from phfmu.derivatives.apart.member_maps import MemberMaps
-from phfmu.derivatives.by import By, start_tangents_by
+from phfmu.derivatives.by import IndependentVariables, start_tangents_by
 from phfmu.network.interface.coupled_members import CoupledMembers
 from phfmu.network.interface.junction_values import CONSISTENT, JunctionValues
 
@@ -28,7 +28,12 @@ class ApartStart:
     """Members with their names among those of the whole (`at`)."""
 
     def __init__(
-        self, joined: CoupledMembers, sums: JunctionValues, members: Sequence[AnyMaps], at: Sequence[list[int]], by: By
+        self,
+        joined: CoupledMembers,
+        sums: JunctionValues,
+        members: Sequence[AnyMaps],
+        at: Sequence[list[int]],
+        by: IndependentVariables,
     ):
         self.joined, self.sums, self.members, self.at, self.by = joined, sums, members, at, by
 
@@ -78,7 +83,7 @@ class ApartStart:
         return S
 
     def _by_names(self, m: AnyMaps, D: Array, S: Array, at: list[int]) -> Array:
-        """What follows states and names, by the names of the whole."""
+        """Derivatives by states and names, by the names of the whole."""
         found = D[:, : m.nx] @ S
         found[:, at] += D[:, m.nx : m.nx + m.names]
         return found

@@ -15,9 +15,9 @@ from phfmu.derivatives.apart.joint_events import JointEvents
 from phfmu.derivatives.apart.joint_maps import AnyMaps, JointMaps, JointSteps
 from phfmu.derivatives.apart.member_maps import MemberMaps
 from phfmu.derivatives.apart.unit_maps import UnitMaps, scalars_of, why_not
-from phfmu.derivatives.by import By, Given, declared_scalars
+from phfmu.derivatives.by import IndependentVariables, ScalarData, declared_scalars
 from phfmu.derivatives.derived import close_events, identity_of
-from phfmu.derivatives.tangents import Tangents, of_quantities, require_derived
+from phfmu.derivatives.tangents import RunTangents, of_quantities, require_derived
 from phfmu.discretise.model import Model, build_model
 from phfmu.discretise.start import Projection
 from phfmu.gradients.quadrature import nodes
@@ -101,7 +101,7 @@ class DerivedMembers(Coupled):
         self._given = self.states_now()
         self.forget()
 
-    def _map(self, m: Member, part: ShareTables, own: By, wired: Sequence[int] = ()) -> AnyMaps:
+    def _map(self, m: Member, part: ShareTables, own: IndependentVariables, wired: Sequence[int] = ()) -> AnyMaps:
         """The derivatives of a member's steps."""
         if isinstance(m, FMUMember):
             return UnitMaps(m, part, own)
@@ -109,9 +109,9 @@ class DerivedMembers(Coupled):
         return MemberMaps(m, part, own, wired, moves=self.lands)
 
     @property
-    def known(self) -> Given:
+    def known(self) -> ScalarData:
         """Start values, sizes, limits and units of what members can be derived by."""
-        return Given.joined({m.member.name: m.known for m in self.maps.members})
+        return ScalarData.joined({m.member.name: m.known for m in self.maps.members})
 
     @property
     def identity(self) -> tuple[Any, ...]:
@@ -265,7 +265,7 @@ class DerivedMembers(Coupled):
         raise ValueError(f"{self.joined.network.name}: derivatives are told of equal steps; leave out --rtol")
 
     def companion(self, scheme: Scheme) -> DerivedMembers:
-        """As of `Coupled`, derived too."""
+        """The companion of `Coupled`, derived too."""
         if self.lands:
             raise ValueError(
                 f"{self.joined.network.name}: derivatives through state events are told of steps that are not damped; leave out "
@@ -284,7 +284,7 @@ class DerivedMembers(Coupled):
         self._acts, self._begun = other._acts, other._begun
 
     def taken(self, instance: Any, t0: float, h: float, n: int) -> Steps:
-        """As of `Coupled`; derivatives of steps of a companion count once this one goes on from it (`follow`)."""
+        """Steps taken, as in `Coupled`; derivatives of those of a companion count once this one goes on from it (`follow`)."""
         if instance is not self:
             instance.go_on(self)
         return instance.advance(t0, h, n)
@@ -312,12 +312,14 @@ class DerivedMembers(Coupled):
         return [m.state() for m in self.maps.members]
 
     def landed_step(self, before: list[Array], t: float, h: float) -> JointSteps:
-        """What the step from t by h that all have landed is derived by."""
+        """The step from t by h that all have landed, with what its derivatives need."""
         return self.joint_step(before, [self._outside(i, t, h, 0) for i in range(len(self.maps.members))], t, h, [])
 
     def joint_step(self, before: list[Array], given: list[Array], t: float, h: float, states: list[Any]) -> JointSteps:
-        """What the step that was taken last, from t and the states `before`, is derived by; given: inputs from outside at its
-        nodes; states: all that members are at t, where they step in turn."""
+        """The step that was taken last, from t and the states `before`, with what its derivatives need.
+
+        given: inputs from outside at its nodes;  states: all that members are at t, where they step in turn
+        """
         parts = list[Any]()
         z, instants = self.maps.unknowns(self.master.unknowns, self.joined, states, given, t)
         for m, x, u in zip(self.maps.members, before, given, strict=True):
@@ -391,7 +393,7 @@ class DerivedMembers(Coupled):
         for q in known.values():
             if q.block == "a_end" and q.name in now:
                 a[q.first] = now[q.name]
-        tangents = Tangents(model, self.by)
+        tangents = RunTangents(model, self.by)
         blocks = tangents.at_start(self.engines[0].instance.time, x0, x, u, p, a)
         place = {n: i for i, n in enumerate(order)}
         S = [tangents.S[[place[of_member(m.name, n)] for n in m.states]] for m in self.engines]
@@ -402,10 +404,13 @@ class DerivedMembers(Coupled):
         return S, slopes
 
 
-def by_of(joined: CoupledMembers, names: Sequence[str]) -> By:
-    """What members stepped apart are derived by.  KeyError for names that are none; ValueError for units without derivatives."""
+def by_of(joined: CoupledMembers, names: Sequence[str]) -> IndependentVariables:
+    """Independent variables of members stepped apart.
+
+    Raises KeyError for unknown names, and ValueError for units without derivatives.
+    """
     if not any(isinstance(m, FMUMember) for m in joined.members):
-        return By.of(joined.network.compose(), names)
+        return IndependentVariables.of(joined.network.compose(), names)
     _require_derivable(joined.network, joined.members)
     lists: list[list[str]] = [[], [], []]
     for m in joined.members:
@@ -418,7 +423,7 @@ def by_of(joined: CoupledMembers, names: Sequence[str]) -> By:
     def unknown(name: str) -> str:
         return f"{joined.network.name} has no parameter, free input or state '{name}'; {meant(name, known)}"
 
-    return By.chosen(p, [n for n in u if n in free], x, names, unknown)
+    return IndependentVariables.chosen(p, [n for n in u if n in free], x, names, unknown)
 
 
 def _scalars(m: Member) -> tuple[list[str], list[str], list[str]]:
@@ -429,11 +434,11 @@ def _scalars(m: Member) -> tuple[list[str], list[str], list[str]]:
     return declared_scalars(m.model.declaration)
 
 
-def _own(m: Member, names: Sequence[str]) -> By:
+def _own(m: Member, names: Sequence[str]) -> IndependentVariables:
     """The names of a member."""
     known = _scalars(m)
     scalars = {n for own in known for n in own}
-    return By.chosen(*known, [n for n in scalars_in(m.name, names) if n in scalars])
+    return IndependentVariables.chosen(*known, [n for n in scalars_in(m.name, names) if n in scalars])
 
 
 def scalars_in(member: str, names: Sequence[str]) -> list[str]:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from phfmu.derivatives.apart.joint_maps import AnyMaps, JointSlopes, JointSteps, at_once
 from phfmu.derivatives.apart.member_maps import MemberMaps
-from phfmu.derivatives.by import By
+from phfmu.derivatives.by import IndependentVariables
 from phfmu.network.couplings.compiled.master_pattern import ExchangeTables, ShareTables
 from phfmu.network.interface.coupled_members import CoupledMembers
 from phfmu.network.interface.instant import InstantSolver
@@ -39,9 +39,9 @@ class InTurnMaps:
     def __init__(
         self,
         exchanged: ExchangeTables,
-        members: Sequence[tuple[Member, ShareTables, By]],
+        members: Sequence[tuple[Member, ShareTables, IndependentVariables]],
         groups: list[list[int]],
-        made: Callable[[Member, ShareTables, By], AnyMaps],
+        made: Callable[[Member, ShareTables, IndependentVariables], AnyMaps],
     ):
         self._groups, self._n, self._instant = groups, exchanged.nodes, InstantSolver()
         #: by member, the number of its group
@@ -95,10 +95,10 @@ class InTurnMaps:
         return np.tile(self._means, (len(h), 1, 1))
 
     def passed_on(self, slopes: JointSlopes, told: list[Array], z: Array) -> None:
-        """As of `JointMaps`: no signals are exchanged within these steps."""
+        """Nothing: no signals are exchanged within these steps."""
 
     def passed_back(self, slopes: JointSlopes, told: list[Array], z: Array) -> None:
-        """As of `JointMaps`: no signals are exchanged within these steps."""
+        """Nothing: no signals are exchanged within these steps."""
 
     def slopes(self, steps: JointSteps, acts: Sequence[Array]) -> JointSlopes:
         """Derivatives of steps; `acts`: 1 of the names of each member that still act."""

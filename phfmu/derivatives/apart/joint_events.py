@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.derivatives.by import By
-from phfmu.derivatives.event_maps import EventMaps, Instant
+from phfmu.derivatives.by import IndependentVariables
+from phfmu.derivatives.event_maps import EventInstant, EventMaps
 from phfmu.derivatives.plan_function import PlanFunction
 from phfmu.discretise.model import Model
 from phfmu.network.interface.coupled_members import CoupledMembers
@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class MetTogether:
+class JointOccurrence:
     """Numbers of the state events at one instant, and of those that came to rest."""
 
     t: float
@@ -36,7 +36,14 @@ class MetTogether:
 class JointEvents:
     """Derivatives at the instants of events of `members`, which `model` is composed of; lander: what lands them."""
 
-    def __init__(self, model: Model, joined: CoupledMembers, members: Sequence[EngineMember], lander: Any, by: By):
+    def __init__(
+        self,
+        model: Model,
+        joined: CoupledMembers,
+        members: Sequence[EngineMember],
+        lander: Any,
+        by: IndependentVariables,
+    ):
         assert model.events is not None
         self._model, self._joined, self._members, self._by = model, joined, members, by
         self.lander = lander
@@ -44,23 +51,23 @@ class JointEvents:
         #: of guards
         self.names: Sequence[str] = model.events.names
         #: events of the run so far
-        self.met = list[MetTogether]()
+        self.met = list[JointOccurrence]()
         self._algebraics = PlanFunction(model.instant, lambda rows: rows.algebraics, by.directions, moves=True)
         self._places = [slice(a, b) for a, b in pairwise(np.cumsum([0, *(m.model.step.nx for m in members)]).tolist())]
         names = [n for v in model.declaration.algebraics for n in v.names()]
         self._junctions = np.array([names.index(n) for n in joined.face.names], int)
 
-    def now(self) -> Instant:
-        """Where all members are."""
+    def now(self) -> EventInstant:
+        """The common instant of all members."""
         x, p = (np.concatenate([getattr(m.instance, n) for m in self._members]) for n in ("x", "parameters"))
         a, t = self.lander.algebraics, float(self._members[0].instance.time)
         free = self._joined.free[self._joined.face.column < 0]
-        return Instant(t, x, self._model.a0.copy() if a is None else a, free, p)
+        return EventInstant(t, x, self._model.a0.copy() if a is None else a, free, p)
 
-    def happened(self, t: float) -> MetTogether:
+    def happened(self, t: float) -> JointOccurrence:
         """The events that happened last."""
         events, rests = self.lander.last
-        self.met.append(MetTogether(t, tuple(events), tuple(rests)))
+        self.met.append(JointOccurrence(t, tuple(events), tuple(rests)))
         return self.met[-1]
 
     def anew(self, member: EngineMember) -> bool:
@@ -68,7 +75,7 @@ class JointEvents:
         return member.name in self.lander.anew
 
     def landed(
-        self, events: Sequence[int], at: Instant, S: list[Array], rate: list[Array], grid: float, acts: Array
+        self, events: Sequence[int], at: EventInstant, S: list[Array], rate: list[Array], grid: float, acts: Array
     ) -> Array:
         """Tangent (names) of the end of a step, where guards are zero: from those of the states of members for a given end (nx x
         names), and their rates by it (nx); grid: length of steps that do not land.  NoDerivative."""
@@ -81,15 +88,17 @@ class JointEvents:
         self.maps.require_together(at.t, events, np.array(found), self._by.sizes(at.x, at.u, at.p))
         return found[0]
 
-    def jumped(self, met: MetTogether, before: Instant, p: Array, S: list[Array], T: Array, acts: Array) -> list[Array]:
+    def jumped(
+        self, met: JointOccurrence, before: EventInstant, p: Array, S: list[Array], T: Array, acts: Array
+    ) -> list[Array]:
         """Tangents of the states of members after a jump, with the parameters p after it."""
-        at = Instant(before.t, before.x, before.a, before.u, p)
+        at = EventInstant(before.t, before.x, before.a, before.u, p)
         jump, all_ = self.maps.jump(met.events, met.rests, at), np.concatenate(S)
         if jump is not None:
             all_[jump.moved] += jump.x @ all_ + np.outer(jump.t, T) + self._by.spread(jump.along) * acts
         return [all_[place] for place in self._places]
 
-    def junctions(self, at: Instant, S: list[Array], T: Array, acts: Array) -> Array | None:
+    def junctions(self, at: EventInstant, S: list[Array], T: Array, acts: Array) -> Array | None:
         """Tangents of the junction unknowns at an instant, where members take those of the composed declaration."""
         if self.lander.algebraics is None:
             return None

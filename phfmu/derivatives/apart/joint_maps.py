@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.derivatives.apart.member_maps import Linearised, MemberMaps
+from phfmu.derivatives.apart.member_maps import MemberMaps, StepDerivatives
 from phfmu.derivatives.apart.unit_maps import UnitMaps
 from phfmu.network.couplings.compiled.master_pattern import ExchangeTables
 from phfmu.network.interface.coupled_members import CoupledMembers
@@ -67,7 +67,7 @@ class JointSlopes:
     which stand in the rows `at` of the interface; `matrix` (n x unknowns x unknowns) is dr/dz, with nothing above its diagonal
     `blocks`."""
 
-    members: list[Linearised]
+    members: list[StepDerivatives]
     rows: list[Array]
     at: list[NDArray[np.intp]]
     matrix: Array
@@ -96,7 +96,7 @@ def _solved(A: Array, right: Array, by_columns: bool) -> Array:
 
 
 def at_once(unknowns: int) -> int:
-    """How many steps with so many unknowns of the interface are linearised at a time."""
+    """Number of steps with so many unknowns of the interface that are linearised at a time."""
     return min(STEPS, max(1, ROOM // max(unknowns, 1) ** 2))
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.declare.phdae import PHDAE
-from phfmu.derivatives.plan_function import Mapped
+from phfmu.derivatives.plan_function import PointwiseFunction
 from phfmu.engine.impulses import port_kernels
 
 Array = NDArray[np.float64]
@@ -30,11 +30,11 @@ class KickSlopes:
         shift, mean = kernels.shift.call([f.x, f.p, s])
         moved = ca.vertcat(shift, s * mean)
         by = ca.horzcat(ca.jacobian(moved, f.x), ca.jacobian(moved, f.p[own]), ca.jacobian(moved, s))
-        self._kick = Mapped([f.x, f.p, s], [moved, by])
+        self._kick = PointwiseFunction([f.x, f.p, s], [moved, by])
         held = ca.vec(ca.mtimes(f.S, ca.reshape(v, self.n, vectors)))
         told = ca.vertcat(f.y, held)
-        self._end = Mapped([f.x, f.p, v], [ca.horzcat(ca.jacobian(told, f.x), ca.jacobian(told, f.p[own]))])
-        self._jump = Mapped([f.x, f.p], [f.S])
+        self._end = PointwiseFunction([f.x, f.p, v], [ca.horzcat(ca.jacobian(told, f.x), ca.jacobian(told, f.p[own]))])
+        self._jump = PointwiseFunction([f.x, f.p], [f.S])
 
     def kick(self, x: Array, p: Array, s: Array) -> tuple[Array, Array]:
         """Changes of the moved states (n x states), and derivatives of them and of the works by [x | parameters | s]."""

@@ -17,12 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.derivatives.apart.kicks import KickSlopes
-from phfmu.derivatives.by import By, Given
-from phfmu.derivatives.plan_function import PlanFunction, Point, Rows
+from phfmu.derivatives.by import IndependentVariables, ScalarData
+from phfmu.derivatives.plan_function import PlanFunction, PlanPoint, PlanRows
 from phfmu.derivatives.tangents import (
     OF_INSTANT,
     OF_STEP,
-    Taken,
+    TakenSteps,
     in_parts,
     places,
     told_of_instant,
@@ -39,7 +39,7 @@ Array = NDArray[np.float64]
 
 #: time and length, by start and length of a step: where it begins, and at its end
 OF_STEPS, OF_ENDS = np.eye(2), np.array([[1.0, 1.0], [0.0, 0.0]])
-#: of `Taken` what there is for each step
+#: of `TakenSteps` what there is for each step
 ROWS = ("t", "h", "before", "after", "w", "u", "a_end")
 
 
@@ -47,7 +47,7 @@ ROWS = ("t", "h", "before", "after", "w", "u", "a_end")
 class MemberSteps:
     """Steps that a member has taken, its impulses at their starts and ends (n x 2 x kicks), its inputs at their ends (n x nu)."""
 
-    taken: Taken
+    taken: TakenSteps
     impulses: Array
     ends: Array
 
@@ -60,7 +60,7 @@ class MemberSteps:
         """Some of them."""
         t = self.taken
         rows = {n: getattr(t, n)[which] for n in ROWS}
-        return MemberSteps(Taken(**rows, p=t.p), self.impulses[which], self.ends[which])
+        return MemberSteps(TakenSteps(**rows, p=t.p), self.impulses[which], self.ends[which])
 
     @staticmethod
     def joined(steps: list[MemberSteps]) -> MemberSteps:
@@ -68,7 +68,7 @@ class MemberSteps:
         parts = [s.taken for s in steps]
         rows = {n: np.concatenate([getattr(p, n) for p in parts]) for n in ROWS}
         impulses, ends = (np.concatenate([getattr(s, n) for s in steps]) for n in ("impulses", "ends"))
-        return MemberSteps(Taken(**rows, p=parts[0].p), impulses, ends)
+        return MemberSteps(TakenSteps(**rows, p=parts[0].p), impulses, ends)
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,7 @@ class Wiring:
 
 
 @dataclass(frozen=True)
-class Linearised:
+class StepDerivatives:
     """Per step the derivatives by [x0 | names | moves | unknowns that reach it]: of x1, of what is told, of outputs at nodes and
     the end (k nu + nu), and of S0 v before and S1 v after the step (vectors x kicks).  `passed`: derivatives of what is told by
     the signals that are passed on at the end (told x signals)."""
@@ -137,7 +137,14 @@ class MemberMaps:
     moves: there are derivatives by the start and the length of steps, too, which move where state events happen
     """
 
-    def __init__(self, member: EngineMember, part: ShareTables, by: By, wired: Sequence[int] = (), moves: bool = False):
+    def __init__(
+        self,
+        member: EngineMember,
+        part: ShareTables,
+        by: IndependentVariables,
+        wired: Sequence[int] = (),
+        moves: bool = False,
+    ):
         self.member, self.part, self.by, self.wired = member, part, by, list(wired)
         model, d = member.model, by.directions
         plan = model.step
@@ -194,14 +201,14 @@ class MemberMaps:
 
     @property
     def quantities(self) -> list[Quantity]:
-        """Of each column of the member what it is."""
+        """The quantity in each column of the member."""
         known = {q.name: q for q in quantities(self.member.model)}
         return [known[n] for n in self.member.names]
 
     @property
-    def known(self) -> Given:
+    def known(self) -> ScalarData:
         """Start values, sizes, limits and units of what it can be derived by."""
-        return Given.of(self.member.model)
+        return ScalarData.of(self.member.model)
 
     def as_means(self, block: dict[str, Array]) -> dict[str, Array]:
         """Means at the start, which are the values of its instant, of the blocks now."""
@@ -230,7 +237,7 @@ class MemberMaps:
         end[self.wired] = i.held_input[self.wired]
         row = i.x[: self.nx], i.unknowns, u, i.signal("a_end"), end
         after, w, u, a_end, end = (np.array(v, float)[None] for v in row)
-        taken = Taken(np.array([t]), np.array([h]), before[None], after, w, u, i.parameters.copy(), a_end)
+        taken = TakenSteps(np.array([t]), np.array([h]), before[None], after, w, u, i.parameters.copy(), a_end)
         return MemberSteps(taken, (self.kicks @ z)[None], end)
 
     def ready(self) -> None:
@@ -244,7 +251,7 @@ class MemberMaps:
 
     # -- derivatives -----------------------------------------------------------------------------------------------------
 
-    def at(self, steps: MemberSteps, v: Array, acts: Array) -> Linearised:
+    def at(self, steps: MemberSteps, v: Array, acts: Array) -> StepDerivatives:
         """Derivatives of steps; v: vectors that S is applied to, before and after each (n x 2 x vectors x kicks); acts: 1 of the
         names that still act, 0 of those that were set."""
         t, n, kicks = steps.taken, len(steps.taken.t), self.part.kicks
@@ -255,7 +262,7 @@ class MemberMaps:
         X[:, np.arange(self.nx), np.arange(self.nx)] = 1.0
         if kicks:
             x, X, works = self._kicked(x, X, p, steps.impulses[:, 0], self.kicks[0], acts)
-        found = self._step.response(Point(np.column_stack([x, t.t]), t.w, t.u, p, t.h))
+        found = self._step.response(PlanPoint(np.column_stack([x, t.t]), t.w, t.u, p, t.h))
         W, told = (self._along(f, X, self._feed[self._nodes], acts, OF_STEPS) for f in (found.w, found.told))
         X = X + self._U @ W
         if kicks:
@@ -275,7 +282,7 @@ class MemberMaps:
             y, after = self._jumps(t.after, p, v[:, 1], X, acts)
             outputs[:, self.part.k * self.part.nu + np.array(self.slopes.pairs, int)] = y
         passed = np.concatenate([np.zeros((n, stop, len(self.wired))), by_signals], axis=1)
-        return Linearised(X, np.concatenate([told, ends], axis=1), outputs, before, after, passed)
+        return StepDerivatives(X, np.concatenate([told, ends], axis=1), outputs, before, after, passed)
 
     def looked(self) -> tuple[Array, ...]:
         """The member at the present instant, of which `looks` makes what `presented` takes."""
@@ -372,5 +379,5 @@ class MemberMaps:
         return self._along(found, X, self._feed_end[self._fed_end], acts, OF_ENDS), signals
 
 
-def _told(rows: Rows) -> ca.SX:
+def _told(rows: PlanRows) -> ca.SX:
     return ca.vertcat(told_of_step(rows), rows.outputs_at_nodes)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from phfmu.derivatives.apart.derived_members import DerivedMembers
 from phfmu.derivatives.apart.joint_maps import JointSlopes, JointSteps
 from phfmu.derivatives.apart.member_maps import Instants, MemberMaps
-from phfmu.derivatives.event_maps import Instant
+from phfmu.derivatives.event_maps import EventInstant
 from phfmu.derivatives.measured import TIME
 from phfmu.derivatives.sensitive import quotient, slope_units
 from phfmu.interrupt import Interrupted
@@ -119,7 +119,7 @@ class SensitiveMembers(DerivedMembers):
         self._row_slopes = found[-1].copy()
         return replace(steps, signals=np.hstack([steps.signals, found]))
 
-    def _along(self, steps: JointSteps, events: Sequence[int] = (), end: Instant | None = None) -> Array:
+    def _along(self, steps: JointSteps, events: Sequence[int] = (), end: EventInstant | None = None) -> Array:
         """Derivatives of the rows at the ends of steps (n x columns), to which the tangents go on; events: guards that are zero
         at the `end` of the last one."""
         maps, n, width = self.maps.members, len(steps.z), len(self.by.names)
@@ -152,7 +152,7 @@ class SensitiveMembers(DerivedMembers):
         self._xi, self._blocks_now = junctions[-1], blocks
         return self._rows_of(blocks, junctions)
 
-    def _ends(self, slopes: JointSlopes, D: list[Array], dz: Array, events: Sequence[int], at: Instant) -> None:
+    def _ends(self, slopes: JointSlopes, D: list[Array], dz: Array, events: Sequence[int], at: EventInstant) -> None:
         """The last step ends where guards are zero: its length follows, and with it the states and unknowns."""
         assert self.events is not None
         maps, right = self.maps.members, np.zeros((dz.shape[1], 1))
@@ -174,7 +174,7 @@ class SensitiveMembers(DerivedMembers):
     # -- state events ----------------------------------------------------------------------------------------------------
 
     def land(self, t0: float, h: float, n: int, first: int = 0, changed: bool = True) -> Iterator[Landing]:
-        """As of `Coupled`; a step comes with the event at its end, by which its length is derived."""
+        """Land as `Coupled` does; a step comes with the event at its end, by which its length is derived."""
         assert self.events is not None
         self._begun, self.grid, own = True, h, len(self.own_names)
         waiting: tuple[Array, Array, Steps, JointSteps] | None = None
@@ -210,7 +210,7 @@ class SensitiveMembers(DerivedMembers):
         if waiting is not None:
             yield *followed(), None
 
-    def _at_event(self, at: Instant) -> Array:
+    def _at_event(self, at: EventInstant) -> Array:
         """Derivatives of the row after an event (columns)."""
         assert self.events is not None
         solved, blocks = self.events.junctions(at, self._S, self._T, self._acts), list[dict[str, Array]]()

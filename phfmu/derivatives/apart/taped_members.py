@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class _Stretch:
+class _Segment:
     """Steps under the same values, rows from `first` on; acts: 1 of the names that followed the start in them.
 
     maps: of the members under the scheme that took them
@@ -89,7 +89,7 @@ class TapedMembers(DerivedMembers):
 
     def forget(self) -> None:
         super().forget()
-        self._stretches, self._count = list[_Stretch](), 1  #: and rows of the run
+        self._stretches, self._count = list[_Segment](), 1  #: and rows of the run
 
     def read(self) -> Array:
         row = super().read()
@@ -102,7 +102,7 @@ class TapedMembers(DerivedMembers):
         if failure is not None:
             failure.recorded = {"steps": Steps.joined(parts)} if parts else {}
             raise failure
-        self._stretches.append(_Stretch(self.maps, JointSteps.joined(kept), self._count, self._acts.copy()))
+        self._stretches.append(_Segment(self.maps, JointSteps.joined(kept), self._count, self._acts.copy()))
         self._count += n
         return Steps.joined(parts)
 
@@ -131,7 +131,7 @@ class TapedMembers(DerivedMembers):
                     found[:, m] += c[0] * own_slopes
         return found.T
 
-    def _over(self, s: _Stretch, bars: list[_Bars], xi: list[Array], found: Array) -> None:
+    def _over(self, s: _Segment, bars: list[_Bars], xi: list[Array], found: Array) -> None:
         """Back over steps: the bars xi of the states, and of the names."""
         maps, first, n = s.maps.members, s.first, len(s.steps.z)
         slopes = s.maps.slopes(s.steps, [s.acts[at] for at in self.at])

@@ -17,8 +17,8 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.derivatives.apart.member_maps import Linearised, Wiring
-from phfmu.derivatives.by import By, Given
+from phfmu.derivatives.apart.member_maps import StepDerivatives, Wiring
+from phfmu.derivatives.by import IndependentVariables, ScalarData
 from phfmu.fmu.export.variables import FMUError
 from phfmu.gradients.quadrature import nodes
 from phfmu.network.couplings.compiled.master_pattern import ShareTables
@@ -29,9 +29,9 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class UnitSteps:
+class UnitStepDerivatives:
     """Steps that a unit has taken: their lengths (n), and derivatives of each by [x0 | names | unknowns that reach it], as of
-    `Linearised`."""
+    `StepDerivatives`."""
 
     h: Array
     x: Array
@@ -41,14 +41,16 @@ class UnitSteps:
     S: Array
     dS: Array
 
-    def some(self, which: slice) -> UnitSteps:
+    def some(self, which: slice) -> UnitStepDerivatives:
         """Some of them."""
-        return UnitSteps(*(getattr(self, f.name)[which] for f in fields(self)))
+        return UnitStepDerivatives(*(getattr(self, f.name)[which] for f in fields(self)))
 
     @staticmethod
-    def joined(steps: list[UnitSteps]) -> UnitSteps:
+    def joined(steps: list[UnitStepDerivatives]) -> UnitStepDerivatives:
         """One after the other."""
-        return UnitSteps(*(np.concatenate([getattr(s, f.name) for s in steps]) for f in fields(UnitSteps)))
+        return UnitStepDerivatives(
+            *(np.concatenate([getattr(s, f.name) for s in steps]) for f in fields(UnitStepDerivatives))
+        )
 
 
 @dataclass(frozen=True)
@@ -95,7 +97,7 @@ class _Point:
 
 
 def why_not(m: FMUMember) -> str:
-    """What a unit lacks for derivatives of runs through it; "" for nothing."""
+    """The capability that a unit lacks for derivatives of runs through it; "" for nothing."""
     face = m.unit.interface
     if not face.derivatives:
         return "it tells no directional derivatives (providesDirectionalDerivative(s) is not true)"
@@ -117,7 +119,7 @@ def why_not(m: FMUMember) -> str:
 
 
 def scalars_of(m: FMUMember) -> tuple[list[str], list[str], list[str]]:
-    """What it can be derived by: parameters and signals, inputs of ports, states."""
+    """Scalars that it can be derived by: parameters and signals, inputs of ports, states."""
     return _parameters(m), [*m.unit.inputs], [*m.unit.interface.derived["states"]]
 
 
@@ -132,7 +134,7 @@ class UnitMaps:
     Errors: ValueError with the words of the unit, where it refuses a derivative.
     """
 
-    def __init__(self, member: FMUMember, part: ShareTables, by: By):
+    def __init__(self, member: FMUMember, part: ShareTables, by: IndependentVariables):
         self.member, self.part, self.by, self.unit = member, part, by, member.unit
         wiring, face = Wiring.of(part, part.k), self.unit.interface
         self.feed, self.left, self.kicks = wiring.feed, wiring.left, wiring.kicks
@@ -203,7 +205,7 @@ class UnitMaps:
 
     @property
     def quantities(self) -> list[Quantity]:
-        """Of each column of the member where its derivatives are; a block of none for those that have none."""
+        """The place of the derivatives of each column of the member; a block of none for those that have none."""
         found, energies = list[Quantity](), {}
         start = 0
         for p in self.unit.ports:
@@ -219,12 +221,12 @@ class UnitMaps:
         return found
 
     @property
-    def known(self) -> Given:
+    def known(self) -> ScalarData:
         """Start values, sizes and units of what it can be derived by."""
         variables = self.unit.interface.variables
         own = [n for n, v in variables.items() if v.causality in ("parameter", "input")] + self.states
         start = {n: self.unit._starts.get(n, variables[n].start or 0.0) for n in own}
-        return Given(
+        return ScalarData(
             start,
             {n: variables[n].nominal for n in self.states},
             {},
@@ -272,7 +274,7 @@ class UnitMaps:
         nx, stop = self.nx, self.nx + len(self._directions)
         return found[:, :nx], self.by.spread(found[:, nx:stop]), found[:, stop:] / signs
 
-    def stepped(self, z: Array, given: Array, before: Array, t: float, h: float) -> UnitSteps:
+    def stepped(self, z: Array, given: Array, before: Array, t: float, h: float) -> UnitStepDerivatives:
         """The step that was taken last; z: the unknowns that reach it, `given`: its inputs from outside at nodes (k nu)."""
         del before, t
         part, nx, nu = self.part, self.nx, self.part.nu
@@ -299,7 +301,9 @@ class UnitMaps:
         S = np.array([p.S for p in points]).reshape(1, len(points), n_kicks, n_kicks)
         dS = np.array([own for own, _ in found]).reshape(1, len(points), n_kicks, n_kicks, C)
         outputs = np.concatenate([y, at_end])
-        return UnitSteps(np.array([h]), X[None], np.concatenate([told, energies, ends])[None], outputs[None], S, dS)
+        return UnitStepDerivatives(
+            np.array([h]), X[None], np.concatenate([told, energies, ends])[None], outputs[None], S, dS
+        )
 
     def _with(self, rows: Array) -> Array:
         """Rows by the unknowns that reach it, by all columns."""
@@ -347,7 +351,7 @@ class UnitMaps:
             found[:, self.given :] += by_u @ self._end_of(self.feed)[self._fed_end]
         return found, found[[self._now.index(n) for n in self._outputs]] * self._sign_out[:, None]
 
-    def at(self, steps: UnitSteps, v: Array, acts: Array) -> Linearised:
+    def at(self, steps: UnitStepDerivatives, v: Array, acts: Array) -> StepDerivatives:
         """Derivatives of steps; acts: 1 of the names that still act, 0 of those that were set."""
         n = len(steps.h)
         C = self.given + self.reached
@@ -355,11 +359,11 @@ class UnitMaps:
         before = after = np.zeros((n, v.shape[2], 0, C))
         if self.part.kicks:
             before, after = (np.einsum("nijc,nvj->nvic", steps.dS[:, i] * scale, v[:, i]) for i in (0, 1))
-        return Linearised(
+        return StepDerivatives(
             steps.x * scale, steps.told * scale, steps.outputs * scale, before, after, np.zeros((n, self.told, 0))
         )
 
-    def jumps(self, steps: UnitSteps) -> tuple[Array, Array]:
+    def jumps(self, steps: UnitStepDerivatives) -> tuple[Array, Array]:
         """S (n x kicks x kicks) before and after steps."""
         return steps.S[:, 0], steps.S[:, 1]
 
@@ -373,7 +377,7 @@ class UnitMaps:
         """Instants of one step."""
         return UnitInstants(np.array(found)[None])
 
-    def presented(self, at: UnitInstants, steps: UnitSteps, acts: Array) -> Array:
+    def presented(self, at: UnitInstants, steps: UnitStepDerivatives, acts: Array) -> Array:
         """Derivatives (n x instants x nu x columns) of the outputs at instants by [states there | names | unknowns there]."""
         del steps
         return at.y * np.concatenate([np.ones(self.nx), acts, np.ones(self.reached)])

@@ -1,1 +1,1 @@
-"""The way back over a run: its stretches as they were taken, and bars that go back over them."""
+"""Reverse sweep over a run: its stretches as they were taken, and bars that go back over them."""

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.derivatives.event_maps import Instant
+from phfmu.derivatives.event_maps import EventInstant
 from phfmu.engine.record import Grid
 from phfmu.events.modes import Mode
 
@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass
-class Kept:
+class TapeSegment:
     """Parts of steps (rows of a tape), and the algebraic variables at the ends of the steps (n x na) if they were asked for."""
 
     rows: Array
@@ -36,7 +36,7 @@ class Occurrence:
     t: float
     fired: tuple[int, ...]
     rests: tuple[int, ...]
-    after: Instant
+    after: EventInstant
     a_before: Array
     entered: Mode | None
 
@@ -53,9 +53,9 @@ class Leg:
     held: Array
     parameters: Array
     first_row: int
-    call: Call
+    call: CompiledCall
     end: Array = field(default_factory=lambda: np.zeros(0))
-    kept: Kept | None = None
+    kept: TapeSegment | None = None
     cuts: list[str] = field(default_factory=list)
     occurrence: Occurrence | None = None
     moves: bool = False
@@ -85,7 +85,7 @@ class Leg:
 
 
 @dataclass
-class Call:
+class CompiledCall:
     """A call of compiled code for the steps of a grid: the state before it, what it was given, the legs that it made.
 
     changed: None for steps without events, else whether something was set before them

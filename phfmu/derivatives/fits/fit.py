@@ -19,10 +19,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.derivatives.between import Between
 from phfmu.derivatives.by import require_known
-from phfmu.derivatives.fits.fit_journal import Journal, Kept, digest
+from phfmu.derivatives.fits.fit_journal import Journal, JournalEntry, digest
 from phfmu.derivatives.gradient import forward_of
+from phfmu.derivatives.interpolation import LinearInterpolation
 from phfmu.derivatives.measured import TIME
 from phfmu.discretise.model import Model
 from phfmu.fmu.export.variables import FMUError
@@ -57,7 +57,7 @@ class Experiment:
 
 @dataclass(frozen=True)
 class Fit:
-    """What was found: values and standard errors by name, root mean square of the residuals by signal, in its unit.
+    """The result of a fit: values and standard errors by name, root mean square of the residuals by signal, in its unit.
 
     residual: weighted root mean square, which is 1 where weights are standard deviations of noise
     correlation (n x n): of the estimates;  undetermined: directions that the data do not tell, as name -> share
@@ -259,12 +259,12 @@ class _Problem:
         }
         self._journal = Journal(path, {name: digest(value) for name, value in about.items()})
 
-    def _kept(self, curves: Sequence[Curves]) -> Kept:
+    def _kept(self, curves: Sequence[Curves]) -> JournalEntry:
         rows = [np.column_stack([model, slope]) for own in curves for _, _, _, model, slope in own]
         told = {"sequences": self._last_sequences, "between": self._between, "why": self._why}
-        return Kept(np.vstack(rows), told)
+        return JournalEntry(np.vstack(rows), told)
 
-    def _taken_before(self, kept: Kept) -> list[Curves]:
+    def _taken_before(self, kept: JournalEntry) -> list[Curves]:
         """The curves of runs that were taken before the fit was killed."""
         found, first = list[Curves](), 0
         self._between, self._why = max(self._between, kept.told["between"]), kept.told["why"]
@@ -281,7 +281,7 @@ class _Problem:
         return found
 
     def _curves(self, i: int, theta: Array) -> Curves:
-        """Of each measured signal: times, data, the run's values there, and their derivatives."""
+        """Times and data of each measured signal, the run's values there, and their derivatives."""
         e, s = self.experiments[i], self.stepper
         values = dict(e.values) | dict(zip(self.free, theta.tolist(), strict=True))
         measured = [m for m in self.measure if m in e.data.names]
@@ -303,7 +303,7 @@ class _Problem:
         moved = [result.column(derivative_name(TIME, n)) for n in self.free] if s.moves else None
         for m in measured:
             t = e.data.time[there[m]]
-            at = Between(result.time, t, "measurements", "; give --stop")
+            at = LinearInterpolation(result.time, t, "measurements", "; give --stop")
             self._between = max(self._between, at.between)
             slope = np.column_stack([at.of(result.column(derivative_name(m, n))) for n in self.free])
             if moved is not None:
@@ -313,7 +313,7 @@ class _Problem:
         return found
 
     def fit(self, best: Any) -> Fit:
-        """What was found, from SciPy's result."""
+        """The fit that SciPy's result describes."""
         theta, names = best.x, self.free
         curves, by_signal = [], dict[str, list[Array]]()
         for e, own in zip(self.experiments, self._all(theta), strict=True):

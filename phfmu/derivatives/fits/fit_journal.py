@@ -28,7 +28,7 @@ KEY = "phfmu fit"
 
 
 @dataclass(frozen=True)
-class Kept:
+class JournalEntry:
     """The runs at one choice of values: columns (measurements x 1 + names) and what is told beside them, as JSON has it."""
 
     columns: Array
@@ -62,7 +62,7 @@ class Journal:
 
     def __init__(self, path: str | Path, about: Mapping[str, str]):
         self.path = Path(path)
-        self._kept: dict[bytes, Kept] = {}
+        self._kept: dict[bytes, JournalEntry] = {}
         require_writable(self.path, f"--resume {self.path}")
         head = json.dumps({KEY: 1, "about": dict(about)}).encode() + b"\n"
         content = self.path.read_bytes() if self.path.exists() else b""
@@ -80,11 +80,11 @@ class Journal:
         """Choices of values whose runs are kept."""
         return len(self._kept)
 
-    def at(self, theta: Array) -> Kept | None:
+    def at(self, theta: Array) -> JournalEntry | None:
         """The runs at these values, None where there are none."""
         return self._kept.get(theta.tobytes())
 
-    def add(self, theta: Array, kept: Kept) -> None:
+    def add(self, theta: Array, kept: JournalEntry) -> None:
         """Appends the runs at these values to the file."""
         self._kept[theta.tobytes()] = kept
         record = io.BytesIO()
@@ -111,7 +111,7 @@ class Journal:
         while end < len(content):
             try:
                 theta, columns, told = (np.load(file, allow_pickle=False) for _ in range(3))
-                self._kept[theta.tobytes()] = Kept(columns, json.loads(told.tobytes()))
+                self._kept[theta.tobytes()] = JournalEntry(columns, json.loads(told.tobytes()))
             except (ValueError, EOFError, OSError):
                 break
             end = file.tell()

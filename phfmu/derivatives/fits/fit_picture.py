@@ -1,4 +1,4 @@
-"""A picture of a fit: measurements, the run that was found, and what is left."""
+"""A picture of a fit: measurements, the run that was found, and residuals."""
 
 from phfmu.derivatives.fits.fit import Fit
 from phfmu.report.picture.picture import Picture, panel
@@ -6,7 +6,7 @@ from phfmu.report.recording import Signal
 
 
 def picture_of(found: Fit) -> Picture:
-    """Of each signal and experiment two axes: measurements with the fit, and what is left, to a scale of its own."""
+    """Two axes for each signal and experiment: measurements with the fit, and residuals, to a scale of their own."""
     panels = []
     for experiment, name, t, data, model in found.curves:
         unit = found.units.get(name)

@@ -35,7 +35,7 @@ LOG_CATEGORIES = {
 
 
 @dataclass(frozen=True)
-class Span:
+class ArraySpan:
     """An array: its name and number of entries, which are consecutive variables."""
 
     name: str
@@ -194,14 +194,14 @@ class ExportedUnit:
         return bool(free) and bool(ca.depends_on(d.hamiltonian, ca.vertcat(*free)))
 
     @cached_property
-    def spans(self) -> dict[int, Span]:
+    def spans(self) -> dict[int, ArraySpan]:
         """Value reference of the first entry -> the array of FMI 3.0 that begins there; empty without `arrays`."""
         if not self.arrays:
             return {}
         place = {v.name: i for i, v in enumerate(self.variables)}
         ports = [p for p in self.declaration.ports if p.size is not None and not p.signal]
         groups = [g for p in ports for g in (p.input_names(), p.output_names(), p.output_names(MEAN))]
-        return {place[g[0]]: Span(g[0].rpartition("[")[0], len(g)) for g in groups if g[0] in place}
+        return {place[g[0]]: ArraySpan(g[0].rpartition("[")[0], len(g)) for g in groups if g[0] in place}
 
     def outputs(self) -> list[int]:
         """Value references of the outputs."""

@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 
-from phfmu.declare.entries.parameter_limits import Limit, limits
+from phfmu.declare.entries.parameter_limits import ParameterLimit, limits
 from phfmu.discretise.model import Model
 from phfmu.fmu.words import plain
 from phfmu.signals import MODE, Quantity, quantities
@@ -28,7 +28,7 @@ class FMUVariable(Quantity):
     there are not written.  `sign`: -1 where the unit tells the negative of what is in the block.
     """
 
-    limit: Limit | None = None
+    limit: ParameterLimit | None = None
     sign: int = 1
 
     @property
@@ -96,7 +96,7 @@ def variables(
 
 def listed(
     name: str,
-    told: Iterable[tuple[Quantity, Limit | None]],
+    told: Iterable[tuple[Quantity, ParameterLimit | None]],
     ledger_outputs: bool,
     tunable: Collection[str],
     signals: Collection[str],
@@ -124,7 +124,7 @@ def value_name(model: Model, name: str) -> str:
     return MODE + name if name in model.declaration.modes else name
 
 
-def _written(q: Quantity, limit: Limit | None) -> FMUVariable:
+def _written(q: Quantity, limit: ParameterLimit | None) -> FMUVariable:
     """A quantity as a unit tells it."""
     block = f"FMU_{q.block.upper()}" if q.block in _OF_UNITS else f"PH_{q.block.upper()}"
     return FMUVariable(

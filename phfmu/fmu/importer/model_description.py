@@ -8,7 +8,7 @@ from itertools import product
 from math import isfinite
 from typing import IO, Any
 
-from phfmu.declare.expressions.units import BASE, Unit
+from phfmu.declare.expressions.units import BASE, PhysicalUnit
 from phfmu.fmu import limits
 from phfmu.fmu.export.manifest import read_manifest
 from phfmu.fmu.export.variables import FMUError
@@ -49,7 +49,7 @@ class ModelDescription:
         self.cosimulation: dict[str, str] | None = None
         self.times: dict[str, float] = {}
         self.variables: dict[str, Scalar] = {}
-        self.units: dict[str, Unit] = {}
+        self.units: dict[str, PhysicalUnit] = {}
         self.left_out: dict[str, OmittedVariables] = {}
         self._counted = 0
         self._path: list[str] = []
@@ -110,7 +110,7 @@ class ModelDescription:
         exponents = tuple(self._int(attributes.get(b, "0"), self._name) for b in BASE)
         factor = self._float(attributes.get("factor", "1"), self._name)
         if not self._float(attributes.get("offset", "0"), self._name) and isfinite(factor) and factor:
-            self.units[plain(self._name)] = Unit(plain(self._name), factor, exponents)
+            self.units[plain(self._name)] = PhysicalUnit(plain(self._name), factor, exponents)
 
     def end(self, tag: str) -> None:
         if len(self._path) == 3 and self._path[1] == "ModelVariables":

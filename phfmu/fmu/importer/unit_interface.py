@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from phfmu.declare.expressions.units import Unit
+from phfmu.declare.expressions.units import PhysicalUnit
 from phfmu.declare.port import Port
 from phfmu.fmu.export.manifest import PortMap
 from phfmu.fmu.export.variables import FMUError
@@ -68,7 +68,7 @@ class UnitInterface:
     taken: dict[str, tuple[str, ...]] = field(default_factory=dict)
     sent: dict[str, tuple[str, ...]] = field(default_factory=dict)
     left_out: str = ""
-    units: dict[str, Unit] = field(default_factory=dict)
+    units: dict[str, PhysicalUnit] = field(default_factory=dict)
     one_step: bool = False
     one_instance: bool = False
     tool: bool = False

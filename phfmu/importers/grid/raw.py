@@ -41,7 +41,7 @@ READ = ("BUS", "LOAD", "FIXED SHUNT", "GENERATOR", "BRANCH", "TRANSFORMER", "SWI
 
 
 @dataclass(frozen=True)
-class Record:
+class RawRecord:
     """The fields of a line of the file; an absent or empty one is its default."""
 
     file: str
@@ -80,9 +80,9 @@ def read_raw(path: str | PathLike[str]) -> Grid:
     lines = file.read_text(encoding="utf-8", errors="replace").splitlines()
     if len(lines) < 4:
         raise GridError(name, [f"{len(lines)} lines are no case; a .raw file begins with three lines of titles"])
-    head = Record(name, 1, "case identification", _fields(lines[0]))
+    head = RawRecord(name, 1, "case identification", _fields(lines[0]))
     if lines[0].startswith("@!"):
-        head, lines = Record(name, 2, head.section, _fields(lines[1])), ["", *lines[2:]]
+        head, lines = RawRecord(name, 2, head.section, _fields(lines[1])), ["", *lines[2:]]
     revision = head.integer(2, 0)
     if revision not in REVISIONS:
         raise GridError(name, [f"revision {revision} of the format; {REVISIONS[0]} to {REVISIONS[-1]} can be read"])
@@ -120,12 +120,12 @@ def _fields(line: str) -> tuple[str, ...]:
     return tuple(next(csv.reader([line], quotechar="'", skipinitialspace=True), []))
 
 
-def _sections(name: str, lines: Sequence[str], revision: int) -> dict[str, list[Record]]:
+def _sections(name: str, lines: Sequence[str], revision: int) -> dict[str, list[RawRecord]]:
     """Section -> records: by the names in the lines that end them, else by their order."""
     order = [s for s in ORDER if s != "SYSTEM SWITCHING DEVICE" or revision >= 34]
     begun = "SYSTEM-WIDE" if revision >= 34 else "BUS"
-    found: dict[str, list[Record]] = {}
-    records: list[Record] = []
+    found: dict[str, list[RawRecord]] = {}
+    records: list[RawRecord] = []
     for number, line in enumerate(lines[3:], 4):
         text = line.strip()
         if not text or text.startswith("@!"):
@@ -134,7 +134,7 @@ def _sections(name: str, lines: Sequence[str], revision: int) -> dict[str, list[
             break
         end = END.match(line)
         if end is None:
-            records.append(Record(name, number, begun, _fields(line)))
+            records.append(RawRecord(name, number, begun, _fields(line)))
             continue
         words = end["words"] or ""
         ended, after = (_section(m[1]) if (m := pattern.search(words)) else "" for pattern in (ENDED, BEGUN))
@@ -154,25 +154,25 @@ def _section(words: str) -> str:
     return text if text in known else next((s for s in known if text.startswith(s)), text)
 
 
-def _bus(r: Record) -> Bus:
+def _bus(r: RawRecord) -> Bus:
     return Bus(r.integer(0), r.text(1), r.number(2), r.integer(3, LOAD), r.number(7, 1.0), radians(r.number(8)))
 
 
-def _load(r: Record) -> Demand:
+def _load(r: RawRecord) -> Demand:
     return Demand(r.integer(0), r.text(1, "1"), *(r.number(k) for k in range(5, 11)), on=r.integer(2, 1) != 0)
 
 
-def _shunt(r: Record) -> Shunt:
+def _shunt(r: RawRecord) -> Shunt:
     return Shunt(r.integer(0), r.text(1, "1"), r.number(3), r.number(4), r.integer(2, 1) != 0)
 
 
-def _switched(r: Record, revision: int) -> Shunt:
+def _switched(r: RawRecord, revision: int) -> Shunt:
     """At its initial susceptance."""
     status, initial = (4, 11) if revision >= 35 else (3, 9)
     return Shunt(r.integer(0), "switched", 0.0, r.number(initial), r.integer(status, 1) != 0)
 
 
-def _generator(r: Record, revision: int) -> Generator:
+def _generator(r: RawRecord, revision: int) -> Generator:
     bus, k = r.integer(0), 9 if revision >= 35 else 8
     if r.number(k + 4):
         raise GridError(r.file, [
@@ -185,7 +185,7 @@ def _generator(r: Record, revision: int) -> Generator:
     )  # fmt: skip
 
 
-def _line(r: Record, revision: int) -> Line:
+def _line(r: RawRecord, revision: int) -> Line:
     k = 19 if revision >= 34 else 9
     ends = (r.number(k), r.number(k + 1), r.number(k + 2), r.number(k + 3))
     return Line(
@@ -204,7 +204,7 @@ class _Winding:
 
 
 def _transformer(
-    r: Record, records: Iterator[Record], base: float, kv: dict[int, float]
+    r: RawRecord, records: Iterator[RawRecord], base: float, kv: dict[int, float]
 ) -> tuple[list[Bus], list[Transformer]]:
     """Two windings, or three as a star whose inner bus is added, with the number of the first bus and seven digits more."""
     three = r.integer(2, 0) != 0
@@ -238,7 +238,7 @@ def _transformer(
     ]  # fmt: skip
 
 
-def _winding(cw: int, bus: int, r: Record, kv: dict[int, float]) -> _Winding:
+def _winding(cw: int, bus: int, r: RawRecord, kv: dict[int, float]) -> _Winding:
     """Its ratio, which the file gives in per unit of the bus (1), in kV (2) or in per unit of its own rated voltage (3)."""
     value, rated = r.number(0, kv[bus] if cw == 2 else 1.0), r.number(1) or kv[bus]
     tap = {1: value, 2: value / kv[bus], 3: value * rated / kv[bus]}.get(cw)
@@ -247,7 +247,7 @@ def _winding(cw: int, bus: int, r: Record, kv: dict[int, float]) -> _Winding:
     return _Winding(bus, tap, radians(r.number(2)))
 
 
-def _impedance(first: Record, r: Record, k: int, base: float) -> complex:
+def _impedance(first: RawRecord, r: RawRecord, k: int, base: float) -> complex:
     """r + jx in per unit of the base; given on the case's base (1), the winding's (2), or by losses in W and |z| (3)."""
     cz, resistance, reactance, own = first.integer(5, 1), r.number(k), r.number(k + 1), r.number(k + 2, base) or base
     if cz == 3:
@@ -258,7 +258,7 @@ def _impedance(first: Record, r: Record, k: int, base: float) -> complex:
     return complex(resistance, reactance) * (1.0 if cz == 1 else base / own)
 
 
-def _magnetising(r: Record, second: Record, base: float) -> complex:
+def _magnetising(r: RawRecord, second: RawRecord, base: float) -> complex:
     """g + jb in per unit; given so (1), or as no-load loss in W and exciting current in per unit of the winding's base (2)."""
     a, b = r.number(7), r.number(8)
     if r.integer(6, 1) == 1:

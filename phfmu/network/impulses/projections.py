@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.audit.booking import PROJECTION, PartKey
-from phfmu.declare.variable import Value
+from phfmu.declare.variable import ValueKind
 from phfmu.discretise.model import Model
 from phfmu.discretise.onestep import step_layout
 from phfmu.gradients.quadrature import gauss
@@ -102,7 +102,7 @@ def _rows(term: Term) -> Iterator[int]:
 
 def _share(term: Term, layout: Layout, part: list[int]) -> ProjectionLosses:
     states = [r.index for r in term.rows if r.kind is Row.BALANCE]
-    x, p = term.symbols(Value.STATE), term.symbols(Value.PARAMETER)
+    x, p = term.symbols(ValueKind.STATE), term.symbols(ValueKind.PARAMETER)
     s, m = ca.SX.sym("s", len(states)), ca.SX.sym("m", len(part))
     shift = ca.vertcat(s, ca.SX(x.numel() - len(states), 1))
 
@@ -111,6 +111,6 @@ def _share(term: Term, layout: Layout, part: list[int]) -> ProjectionLosses:
 
     work = -m * sum(float(w) * c(float(t)) for t, w in zip(*gauss(WORK_POINTS), strict=True))
     return ProjectionLosses(
-        ca.Function("work", [x, p, s, m], [work]), list(term.indices(Value.STATE)), list(term.indices(Value.PARAMETER)),
+        ca.Function("work", [x, p, s, m], [work]), list(term.indices(ValueKind.STATE)), list(term.indices(ValueKind.PARAMETER)),
         [layout.at(END_SHIFT, i, 0) for i in states], [layout.at(ROOT, r, 0) for r in _rows(term)], part,
     )  # fmt: skip

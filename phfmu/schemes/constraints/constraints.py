@@ -19,7 +19,7 @@ import casadi as ca
 import numpy as np
 
 from phfmu.declare.expressions.operations import degree, piecewise
-from phfmu.declare.variable import Value
+from phfmu.declare.variable import ValueKind
 from phfmu.gradients.gradients import QUOTIENT_GUARD, general, guarded, projected
 from phfmu.gradients.quadrature import Nodes, gauss
 from phfmu.plan.address import (
@@ -78,13 +78,13 @@ class _ConstraintStep:
 
 
 def _path(term: Term, args: Arguments, d: ca.SX, nd: Nodes) -> _ConstraintStep:
-    t = term.local.get(Value.TIME)
-    return _ConstraintStep(term.local[Value.STATE], d, t, None if t is None else args.symbol(step_size), nd)
+    t = term.local.get(ValueKind.TIME)
+    return _ConstraintStep(term.local[ValueKind.STATE], d, t, None if t is None else args.symbol(step_size), nd)
 
 
 def quadratic(term: Term) -> bool:
     """True if the constraint has degree 2 at most in q (bars, directors, joints)."""
-    p = degree(term.data["g"], term.local[Value.STATE])
+    p = degree(term.data["g"], term.local[ValueKind.STATE])
     return p is not None and p <= 2
 
 
@@ -138,7 +138,7 @@ def _turning(g: ca.SX, path: _ConstraintStep, v: ca.SX, dv: ca.SX, simple: bool)
 
 def collocated(term: Term, nd: Nodes) -> list[Spec]:
     """Rows of the plain scheme: -G_i^T lambda_i on v, 0 = G_i z_v,i + r_i."""
-    args, n, k = Arguments(term, nd.k), term.local[Value.STATE].numel(), nd.k
+    args, n, k = Arguments(term, nd.k), term.local[ValueKind.STATE].numel(), nd.k
     d, z, lam = args.matrix(increment, n), args.matrix(velocity_costate, n), args.matrix(force, 1)
     path = _path(term, args, d, nd)
     rows, rates = _node_rows(term.data["g"], path, quadratic(term))
@@ -153,7 +153,7 @@ def collocated(term: Term, nd: Nodes) -> list[Spec]:
 
 def two_level(term: Term, nd: Nodes) -> list[Spec]:
     """Rows of the two-level form; `light` velocities have the row sum_i b_i [m n_i - S_i^T mu] = 0 instead of n_i."""
-    k, args, g, n = nd.k, Arguments(term, nd.k), term.data["g"], term.local[Value.STATE].numel()
+    k, args, g, n = nd.k, Arguments(term, nd.k), term.data["g"], term.local[ValueKind.STATE].numel()
     v = ca.SX.sym("v", n)
     d, dv = args.matrix(increment, n), args.matrix(velocity_increment, n)
     z, lam, mu = args.matrix(velocity_costate, n), args.matrix(force, 1), args.symbol(velocity_level)
@@ -178,7 +178,7 @@ def two_level(term: Term, nd: Nodes) -> list[Spec]:
                 -sum((b[i] * shift[i][int(j)] for i in range(k)), ca.SX(0)) * mu,
             )
         )
-    time = term.symbols(Value.TIME)
+    time = term.symbols(ValueKind.TIME)
     kernels = [Spec(1, ca.vertcat(path.q, v, time), args.p, args.y, out, old=with_velocities)]
     mass = term.data["mass"]
     add: list[Result] = [(Address(velocity_gradient, j, i), 0, shift[i][j] * mu / mass[j])

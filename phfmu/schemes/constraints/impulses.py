@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
-from phfmu.declare.variable import Value
+from phfmu.declare.variable import ValueKind
 from phfmu.gradients.quadrature import Nodes, gauss
 from phfmu.plan.address import Address, Place, increment
 from phfmu.plan.layout import Layout
@@ -75,7 +75,7 @@ start, root, start_shift, end_shift = map(_place, (START, ROOT, START_SHIFT, END
 
 def own_start_shift(layout: Layout, term: Term, j: int, node: int) -> int:
     """The shift at the start of the j-th state that a term reads."""
-    return layout.at(START_SHIFT, term.index[Value.STATE][j], node)
+    return layout.at(START_SHIFT, term.index[ValueKind.STATE][j], node)
 
 
 def work_on(layout: Layout, term: Term, j: int, node: int) -> int:
@@ -103,7 +103,7 @@ def _states(terms: list[Term]) -> tuple[int, ...]:
 
 def _marked(t: Term, shifted: set[int]) -> Term:
     """A term with the local places of shifted states as data; they are part of its key."""
-    where = tuple(j for j, i in enumerate(t.indices(Value.STATE)) if i in shifted)
+    where = tuple(j for j, i in enumerate(t.indices(ValueKind.STATE)) if i in shifted)
     return replace(t, key=(*t.key, ("shifted", where)), data=t.data | {"shifted": where}) if where else t
 
 
@@ -135,7 +135,7 @@ class _Member:
 
     def __init__(self, term: Term, nd: Nodes):
         self.args, self.data, self.k = Arguments(term, nd.k), term.data, nd.k
-        self.x, n = term.local[Value.STATE], term.local[Value.STATE].numel()
+        self.x, n = term.local[ValueKind.STATE], term.local[ValueKind.STATE].numel()
         self.psi = range(sum(r.kind is Row.BALANCE for r in term.rows))
         self.nodes = range(len(self.psi), len(term.rows))
         self.rest = ca.SX(n - len(self.psi), 1)

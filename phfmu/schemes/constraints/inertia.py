@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.declare.error import DeclarationError
-from phfmu.declare.variable import Value
+from phfmu.declare.variable import ValueKind
 from phfmu.gradients.quadrature import Nodes
 from phfmu.plan.address import Address, costate_row, increment, own_costate, row
 from phfmu.plan.spec import Arguments, Spec
@@ -44,7 +44,7 @@ def prepare(terms: Terms) -> Terms:
     DeclarationError where the form M v' = .., z_v = v is absent, or M is singular on ker Dg.
     """
     constraints, velocity = terms.of(CONSTRAINT), velocity_of(terms)
-    shifted = sorted({velocity[q] for t in constraints for q in t.index[Value.STATE]})
+    shifted = sorted({velocity[q] for t in constraints for q in t.index[ValueKind.STATE]})
     mass = {t.rows[0].index: t for t in terms.of(MASS)}
     require_velocities(terms, shifted)
     light = light_velocities(terms, shifted, mass)
@@ -52,7 +52,7 @@ def prepare(terms: Terms) -> Terms:
     known: dict[tuple, Term] = {}
     for t in terms.terms:
         if t.kind is CONSTRAINT:
-            velocities = [velocity[q] for q in t.index[Value.STATE]]
+            velocities = [velocity[q] for q in t.index[ValueKind.STATE]]
             t = _with_masses(t, [mass.get(v) for v in velocities], np.array([v in light for v in velocities]), known)
         elif t.kind is MASS and t.rows[0].index in light:
             t = replace(t, key=(Weight.LIGHT, t.key), form=Weight.LIGHT)
@@ -75,7 +75,7 @@ def vanishing(terms: Terms) -> bool:
 def _acted_on(terms: Terms, kept: Sequence[Term]) -> list[float]:
     """Masses of the velocities that constraints act on: those of the mass terms `kept`, and 1 where there is none."""
     velocity = velocity_of(terms)
-    shifted = {velocity[q] for t in terms.of(CONSTRAINT) for q in t.index[Value.STATE] if q in velocity}
+    shifted = {velocity[q] for t in terms.of(CONSTRAINT) for q in t.index[ValueKind.STATE] if q in velocity}
     unit = shifted - {t.rows[0].index for t in terms.of(MASS)} - set(terms.solved_costates())
     values = mass_values(terms, [t for t in kept if t.rows[0].index in shifted]).values()
     return [*values, *([1.0] if unit else [])]
@@ -88,18 +88,21 @@ def _with_masses(term: Term, masses: list[Term | None], light: NDArray[np.bool_]
     """
     key = ("masses", term.key, tuple(None if m is None else m.key for m in masses), tuple(light.tolist()))
     if key not in known:
-        symbols, data = [term.symbols(Value.PARAMETER)], []
+        symbols, data = [term.symbols(ValueKind.PARAMETER)], []
         for m in masses:
-            local = EMPTY if m is None else m.symbols(Value.PARAMETER)
+            local = EMPTY if m is None else m.symbols(ValueKind.PARAMETER)
             fresh = ca.SX.sym("p", local.numel())
             value = ca.SX(1) if m is None else m.data["m"]
             data.append(ca.substitute([value], [local], [fresh])[0] if local.numel() else value)
             symbols.append(fresh)
         p = ca.vertcat(*symbols)
-        local = term.local | ({Value.PARAMETER: p} if p.numel() else {})
+        local = term.local | ({ValueKind.PARAMETER: p} if p.numel() else {})
         known[key] = replace(term, key=key, local=local, data=term.data | {"mass": data, "light": light})
-    index = [*term.indices(Value.PARAMETER), *(i for m in masses if m is not None for i in m.indices(Value.PARAMETER))]
-    return replace(known[key], rows=term.rows, owner=term.owner, index=term.index | {Value.PARAMETER: tuple(index)})
+    index = [
+        *term.indices(ValueKind.PARAMETER),
+        *(i for m in masses if m is not None for i in m.indices(ValueKind.PARAMETER)),
+    ]
+    return replace(known[key], rows=term.rows, owner=term.owner, index=term.index | {ValueKind.PARAMETER: tuple(index)})
 
 
 def is_light(term: Term) -> bool:
@@ -118,7 +121,7 @@ def specs(term: Term, nd: Nodes) -> list[Spec]:
     sum_i b_i m (z_i - v_i) = sum_i b_i S_i^T mu.
     """
     args = Arguments(term, nd.k)
-    d, v, z, m = args.matrix(increment, 1), term.local[Value.STATE], args.matrix(own_costate, 1), term.data["m"]
+    d, v, z, m = args.matrix(increment, 1), term.local[ValueKind.STATE], args.matrix(own_costate, 1), term.data["m"]
     shift = sum((nd.b[i] * (z[i] - v - ca.mtimes(d, ca.DM(nd.a[i]))) for i in range(nd.k)), ca.SX(0))
     out = [(Address(row, 0, i), 0, m * d[i]) for i in range(nd.k)]
     out += [(Address(costate_row, 0, i), 0, d[i + 1] - d[i]) for i in range(nd.k - 1)]
@@ -183,12 +186,12 @@ def require_velocities(terms: Terms, shifted: list[int]) -> None:
 
 def _is_velocity(t: Term, p: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.bool_]:
     """Per state of an energy term: its costate is the state itself."""
-    x = t.local[Value.STATE]
+    x = t.local[ValueKind.STATE]
     if "z" not in t.data:
         return np.zeros(x.numel(), bool)
-    f = ca.Function("z", [x, t.symbols(Value.PARAMETER)], [ca.densify(t.data["z"])])
+    f = ca.Function("z", [x, t.symbols(ValueKind.PARAMETER)], [ca.densify(t.data["z"])])
     at = rng.standard_normal(x.numel())
-    z = np.array(f(at, p[list(t.indices(Value.PARAMETER))])).ravel()
+    z = np.array(f(at, p[list(t.indices(ValueKind.PARAMETER))])).ravel()
     return np.abs(z - at) <= 1e-9 * (1 + np.abs(at))
 
 

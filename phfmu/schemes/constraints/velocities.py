@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from phfmu.declare.variable import Value
+from phfmu.declare.variable import ValueKind
 from phfmu.plan.address import time
 from phfmu.plan.layout import Layout
 from phfmu.plan.unknown import ALGEBRAIC, COSTATE, INCREMENT
@@ -11,7 +11,7 @@ from phfmu.terms.velocities import velocity_of
 
 
 def _velocity(layout: Layout, term: Term, j: int) -> int:
-    return velocity_of(layout.terms)[term.index[Value.STATE][j]]
+    return velocity_of(layout.terms)[term.index[ValueKind.STATE][j]]
 
 
 def force(layout: Layout, term: Term, j: int, node: int) -> int:
@@ -42,5 +42,5 @@ def velocity_costate_row(layout: Layout, term: Term, j: int, node: int) -> int:
 
 def with_velocities(layout: Layout, term: Term) -> list[int]:
     """Old values: positions, their velocities, then time."""
-    positions, velocity = term.index[Value.STATE], velocity_of(layout.terms)
+    positions, velocity = term.index[ValueKind.STATE], velocity_of(layout.terms)
     return [*positions, *(velocity[q] for q in positions), *time(layout, term)]

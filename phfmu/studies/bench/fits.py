@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.studies.bench.machine import cpu_seconds, machine_line
-from phfmu.studies.markdown import markdown_table
+from phfmu.studies.figures import pyplot, save
+from phfmu.studies.tables import markdown_table
 
 if TYPE_CHECKING:
     from phfmu.components.electrical import MachineData
@@ -164,8 +165,8 @@ class ShortCircuitFits:
 
         from scipy.optimize import least_squares
 
-        from phfmu.derivatives.between import Between
         from phfmu.derivatives.derived import DerivedSteps
+        from phfmu.derivatives.interpolation import LinearInterpolation
         from phfmu.outcome.status import StepFailure
         from phfmu.runs.loop import run
 
@@ -181,7 +182,7 @@ class ShortCircuitFits:
                 result = run(stepper, options)
             except (StepFailure, FloatingPointError):
                 return np.full(data.values.size, np.nan)
-            at = Between(result.time, data.time, "measurements")
+            at = LinearInterpolation(result.time, data.time, "measurements")
             rows = np.column_stack([at.of(result.column(m)) for m in MEASURED])
             return ((rows - data.values) / size).ravel()
 
@@ -331,10 +332,7 @@ of the same engine. CPU time by one thread, fits in turn on the same draws, medi
 
 def draw(s: FitStudy, path: Path) -> None:
     """Currents of phase a and the field, measured and fitted, and deviations of all draws."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
+    plt = pyplot()
 
     plt.rcParams.update({"font.size": 9.5, "axes.spines.top": False, "axes.spines.right": False})
     figure, axes = plt.subplot_mosaic(
@@ -351,9 +349,7 @@ def draw(s: FitStudy, path: Path) -> None:
     axes["phase"].set_title("a short circuit out of 0.8 of rated power")
     axes["field"].set_xlabel("time in ms")
     _deviations(axes["off"], s.fits)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=150)
-    plt.close(figure)
+    save(figure, path)
 
 
 def _deviations(ax: Any, fits: Sequence[TimedFit]) -> None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from phfmu.studies.bench.machine import cpu_seconds, machine_line
-from phfmu.studies.markdown import markdown_table
+from phfmu.studies.tables import markdown_table
 
 if TYPE_CHECKING:
     from phfmu.declare.phdae import PHDAE

@@ -9,7 +9,7 @@ from time import process_time
 from typing import TYPE_CHECKING
 
 from phfmu.studies.bench.compile_cost import compile_runtime, compiler_seconds, fresh_cache
-from phfmu.studies.markdown import markdown_table
+from phfmu.studies.tables import markdown_table
 
 if TYPE_CHECKING:
     from phfmu.declare.phdae import PHDAE

@@ -22,7 +22,7 @@ from phfmu.outcome.status import StepFailure
 from phfmu.outcome.steps import balance
 from phfmu.schemes.named import named_scheme
 from phfmu.schemes.scheme_names import ORDERS, SCHEMES
-from phfmu.studies.markdown import markdown_table
+from phfmu.studies.tables import markdown_table
 
 Array = NDArray[np.float64]
 

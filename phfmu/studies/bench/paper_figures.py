@@ -18,6 +18,7 @@ from phfmu.studies.bench.paper import (
     simulate,
     statements,
 )
+from phfmu.studies.figures import pyplot, save
 
 FLOOR = 1e-18  # zero on a logarithmic axis
 
@@ -53,20 +54,10 @@ def _csv(path: Path, columns: dict[str, Any]) -> None:
 
 
 def _axes(n: int) -> tuple[Any, Any]:
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot as plt
+    plt = pyplot()
 
     plt.rcParams.update({"font.size": 9, "axes.grid": True, "grid.alpha": 0.3, "lines.linewidth": 1.2})
     return plt.subplots(1, n, figsize=(4.2 * n, 3.1), layout="constrained")
-
-
-def _save(figure: Any, path: Path) -> None:
-    from matplotlib import pyplot as plt
-
-    figure.savefig(path, dpi=150)
-    plt.close(figure)
 
 
 def _figure_3(dg: PaperRun, mp: PaperRun, folder: Path) -> None:
@@ -82,7 +73,7 @@ def _figure_3(dg: PaperRun, mp: PaperRun, folder: Path) -> None:
         c.semilogy(run.t[1:], np.maximum(np.abs(run.dH + run.dissipated), FLOOR), label=name)
     c.set(xlabel="t in s", ylabel=r"$|\Delta H + W_{diss}|$ in J", title="power balance per step")
     c.legend()
-    _save(figure, folder / "figure_3.png")
+    save(figure, folder / "figure_3.png")
     sums = {"residual_DG": dg.dH + dg.dissipated, "residual_MP": mp.dH + mp.dissipated}
     _csv(folder / "figure_3.csv", {"t": dg.t[1:], "H_DG": dg.H[1:], "dH_DG": dg.dH, "W_DG": dg.dissipated, **sums})
 
@@ -96,7 +87,7 @@ def _figure_4(dg: PaperRun, folder: Path) -> None:
             axis.plot(dg.t[1:], rows[:, i], label=f"i = {i + 1}")
         axis.set(xlabel="t in s", title=title)
         axis.legend()
-    _save(figure, folder / "figure_4.png")
+    save(figure, folder / "figure_4.png")
     columns = (
         {"t": dg.t[1:]} | {f"g{i + 1}": dg.g[:, i] for i in range(2)} | {f"Dgv{i + 1}": dg.dgv[:, i] for i in range(2)}
     )
@@ -113,7 +104,7 @@ def _figure_5(dg: PaperRun, mp: PaperRun, folder: Path) -> None:
     b.set(xlabel="t in s", ylabel=r"$|\Delta H|$ in J", title="increments")
     a.legend()
     b.legend()
-    _save(figure, folder / "figure_5.png")
+    save(figure, folder / "figure_5.png")
     _csv(folder / "figure_5.csv", {"t": dg.t[1:], "H_DG": dg.H[1:], "dH_DG": dg.dH, "H_MP": mp.H[1:], "dH_MP": mp.dH})
 
 
@@ -130,7 +121,7 @@ def _figure_6(models: dict[str, Model], folder: Path) -> None:
             b.plot(run.t, run.H, "-" if scheme == "DG" else "--", label=f"{scheme}, h = {h:g}")
     b.set(xlabel="t in s", ylabel="H in J", title="large steps", ylim=(0.4, 2.2))
     b.legend(fontsize=7, ncols=2)
-    _save(figure, folder / "figure_6.png")
+    save(figure, folder / "figure_6.png")
     errors = {f"{s}_{q}": e for s, part in table.items() for q, e in part.items()}
     _csv(folder / "figure_6_errors.csv", {"h": np.array(STEPS)} | errors)
     lines = ["scheme,h,completed,H_end,rises,largest_rise"]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -14,6 +13,8 @@ import numpy as np
 from phfmu.studies.bench.compile_cost import compiler_seconds, fresh_cache
 from phfmu.studies.bench.families import FAMILIES, Family
 from phfmu.studies.bench.precision.own import solver_iterations
+from phfmu.studies.figures import pyplot, save
+from phfmu.studies.tables import aligned_table, write_csv
 
 if TYPE_CHECKING:
     from phfmu.engine.build.codegen import KernelTable
@@ -114,29 +115,18 @@ def exponent(sizes: Sequence[Size], column: str) -> float:
 def table_text(sizes: Sequence[Size]) -> str:
     """Sizes in aligned columns, exponents below."""
     head = [
-        "n",
-        "unknowns",
-        "declare s",
-        "plan s",
-        "C kB",
-        "compile s",
-        "memory MB",
-        "nonzeros",
-        "us/step",
-        "its",
-        "us/it",
-    ]
-    lines = [head] + [
+        "n", "unknowns", "declare s", "plan s", "C kB", "compile s", "memory MB", "nonzeros", "us/step", "its", "us/it",
+    ]  # fmt: skip
+    rows = [
         [str(s.n), str(s.unknowns), f"{s.declare:.3g}", f"{s.plan:.3g}", f"{s.code / 1e3:.1f}", f"{s.compile:.2f}",
          f"{s.memory / 1e6:.3g}", str(s.nonzeros), f"{1e6 * s.step:.4g}", f"{s.iterations:.1f}", f"{1e6 * s.iteration:.4g}"]
         for s in sizes
     ]  # fmt: skip
     p = {c: f"{exponent(sizes, c):.2f}" for c in GROWTH}
-    lines.append(
+    rows.append(
         ["~ n^", "", p["declare"], p["plan"], p["code"], p["compile"], p["memory"], "", p["step"], "", p["iteration"]]
     )
-    width = [max(len(line[i]) for line in lines) for i in range(len(head))]
-    return "\n".join("  ".join(c.rjust(w) for c, w in zip(line, width, strict=True)) for line in lines)
+    return aligned_table(head, rows)
 
 
 def run(family: Family, sizes: Sequence[int], progress: Callable[[str], None] = lambda _: None) -> Iterator[Size]:
@@ -164,7 +154,8 @@ def report(
         lines += [f"{family.name}: n = {family.parts}, step {family.step:g} s", table_text(own), ""]
     caption = f"{machine.machine_line(before)}; one thread, process CPU time"
     folder.mkdir(parents=True, exist_ok=True)
-    write_csv(folder / "scaling.csv", found, [caption, machine.versions()])
+    head, rows = [f.name for f in fields(Size)], [vars(s).values() for s in found]
+    write_csv(folder / "scaling.csv", [caption, machine.versions()], head, rows)
     written = ["scaling.csv"]
     if find_spec("matplotlib") is not None:
         write_png(folder / "scaling.png", found, caption)
@@ -172,21 +163,9 @@ def report(
     return [caption, machine.versions(), "", *lines, f"written: {', '.join(written)} in {folder}"]
 
 
-def write_csv(path: Path, sizes: Sequence[Size], about: Sequence[str]) -> None:
-    with path.open("w", newline="", encoding="utf-8") as file:
-        for line in about:
-            file.write(f"# {line}\n")
-        out = csv.writer(file)
-        out.writerow([f.name for f in fields(Size)])
-        out.writerows([[f"{v:.6g}" if isinstance(v, float) else v for v in vars(s).values()] for s in sizes])
-
-
 def write_png(path: Path, sizes: Sequence[Size], caption: str) -> None:
     """Declaration and plan, time per step, memory over n."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
+    plt = pyplot()
 
     figure, axes = plt.subplots(1, 3, figsize=(11, 3.8), layout="constrained")
     panels = [
@@ -208,5 +187,4 @@ def write_png(path: Path, sizes: Sequence[Size], caption: str) -> None:
         ax.spines[["top", "right"]].set_visible(False)
     axes[0].legend(fontsize=8, frameon=False)
     figure.supxlabel(caption, fontsize=7, color="0.4")
-    figure.savefig(path, dpi=150)
-    plt.close(figure)
+    save(figure, path)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from phfmu.studies.bench.machine import cpu_seconds, machine_line
-from phfmu.studies.markdown import markdown_table
+from phfmu.studies.tables import markdown_table
 
 if TYPE_CHECKING:
     from phfmu.discretise.model import Model

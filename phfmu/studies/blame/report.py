@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from phfmu.studies.blame.campaign import Exclusion, FaultOutcome, outcome
 from phfmu.studies.blame.faults import FaultKind, FaultPlace
 from phfmu.studies.blame.networks import COUPLINGS
-from phfmu.studies.markdown import markdown_table
+from phfmu.studies.tables import markdown_table
 
 CASES = 200
 #: draws of a case, after which none of its kind is expected to be admitted

@@ -8,6 +8,8 @@ from enum import Enum
 
 
 class Verdict(Enum):
+    """Verdicts on a case: its criterion is met or not, could not have failed, or cannot be posed."""
+
     PASS = "pass"
     FAIL = "FAIL"
     AT_REST = "at rest"

@@ -6,8 +6,8 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
-from phfmu.studies.markdown import markdown_table
 from phfmu.studies.stress.case import StressResult, Verdict
+from phfmu.studies.tables import markdown_table
 
 HEAD = """# Stiff and extreme cases
 

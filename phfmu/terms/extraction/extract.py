@@ -9,7 +9,7 @@ import casadi as ca
 
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.phdae import PHDAE
-from phfmu.declare.variable import Value, time
+from phfmu.declare.variable import ValueKind, time
 from phfmu.terms.canonical import Locator, make_term
 from phfmu.terms.extraction.extract_energy import energies
 from phfmu.terms.extraction.extract_flows import blocks, ports
@@ -42,7 +42,7 @@ def constraints(model: PHDAE, out: Terms, locator: Locator) -> None:
 def _require_velocities(out: Terms) -> None:
     known = velocity_of(out)
     for t in out.of(CONSTRAINT):
-        bad = [out.state_names[q] for q in t.indices(Value.STATE) if q not in known]
+        bad = [out.state_names[q] for q in t.indices(ValueKind.STATE) if q not in known]
         if bad:
             raise DeclarationError(
                 f"{out.model.name}: constraint of '{out.algebraic_names[t.rows[0].index]}'",

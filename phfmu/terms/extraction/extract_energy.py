@@ -12,7 +12,7 @@ from phfmu.declare.error import DeclarationError
 from phfmu.declare.expressions.operations import degree, piecewise
 from phfmu.declare.expressions.summands import summands
 from phfmu.declare.phdae import PHDAE
-from phfmu.declare.variable import Value
+from phfmu.declare.variable import ValueKind
 from phfmu.terms.canonical import Locator, alike, make_term, scalars
 from phfmu.terms.located import Row, RowAt
 from phfmu.terms.term import ENERGY, JOINT, EnergyForm, Term, Terms
@@ -62,7 +62,7 @@ def _bent(
         c = ca.SX.sym("c")
         assert e.invariant is not None and e.phi is not None
         exprs |= {"C": e.invariant, "phi": e.phi(c)}
-        return make_term(ENERGY, exprs, locator.also(c, Value.INVARIANT, [-1]), "energy", rows=_balances(states),
+        return make_term(ENERGY, exprs, locator.also(c, ValueKind.INVARIANT, [-1]), "energy", rows=_balances(states),
                          owner=owner, extra=[*symbols, c], form=EnergyForm(e.kind))  # fmt: skip
     chosen = {at.index for v in e.correct for at in locator.of(v)} or {i for _, i in states}
     nominal = out.state_nominals
@@ -143,9 +143,9 @@ def _states_of(expr: ca.SX, locator: Locator) -> list[tuple[ca.SX, int]]:
     found = []
     for s in ca.symvar(expr):
         at = locator.find(s, "energy")
-        if at.kind is Value.STATE:
+        if at.kind is ValueKind.STATE:
             found.append((s, at.index))
-        elif at.kind is not Value.PARAMETER:
+        elif at.kind is not ValueKind.PARAMETER:
             raise DeclarationError(
                 "the energy", f"depends on '{s}'", "H may depend on states and parameters only", "symbol"
             )

@@ -14,7 +14,7 @@ from phfmu.declare.entries.coefficients import coefficient
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import Port
-from phfmu.declare.variable import Value, Variable, VariableKind, _sx
+from phfmu.declare.variable import ValueKind, Variable, VariableKind, _sx
 from phfmu.terms.canonical import Locator, alike, components, make_term, scalars
 from phfmu.terms.located import EFFORT_OF, ROW_OF, Constant, Row, RowAt, ValueAt
 from phfmu.terms.term import FLOW, SOURCE, Term, Terms
@@ -143,7 +143,7 @@ def _sharing(b: Block, locator: Locator) -> list[list[int]]:
     for i, part in enumerate(components(b.pattern)):
         symbols = ca.symvar(ca.veccat(*b.on(part).parts))
         found = ((s, locator.find(s, "a block of R")) for s in symbols)
-        states = tuple(sorted(s.element_hash() for s, at in found if at.kind is Value.STATE))
+        states = tuple(sorted(s.element_hash() for s, at in found if at.kind is ValueKind.STATE))
         merged.setdefault(states or (i,), []).extend(part)
     return [sorted(part) for part in merged.values()]
 
@@ -185,7 +185,7 @@ def ports(out: Terms, locator: Locator) -> None:
         if port.source is not None:
             s = ca.SX(_sx(port.source))
             where = {str(x): locator.find(x, f"source of '{port.name}'") for x in ca.symvar(s)}
-            other = [x for x, at in where.items() if at.kind not in (Value.TIME, Value.PARAMETER)]
+            other = [x for x, at in where.items() if at.kind not in (ValueKind.TIME, ValueKind.PARAMETER)]
             if other:
                 raise DeclarationError(
                     f"source of '{port.name}'", f"depends on {', '.join(other)}", "a source may depend on time and "
@@ -222,7 +222,7 @@ def _port(out: Terms, locator: Locator, port: Port, first: int) -> None:
                 continue
             targets: list[tuple[RowAt, ca.SX]] = []
             if value is not None:
-                out.constants.append(Constant(row, ValueAt(Value.INPUT, pair), value))
+                out.constants.append(Constant(row, ValueAt(ValueKind.INPUT, pair), value))
             else:
                 targets.append((row, entry * port.u[j]))
             if value is not None and source is not None:

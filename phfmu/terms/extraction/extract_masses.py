@@ -9,7 +9,7 @@ from phfmu.declare.entries.coefficients import square, stacked
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.transform.regular import undetermined
-from phfmu.declare.variable import Value, VariableKind
+from phfmu.declare.variable import ValueKind, VariableKind
 from phfmu.terms.canonical import Locator, make_term, scalars
 from phfmu.terms.located import Row, RowAt
 from phfmu.terms.term import CLOSED, MASS, MASS_BLOCK, Terms
@@ -39,7 +39,7 @@ def masses(model: PHDAE, out: Terms, locator: Locator) -> dict[int, ca.SX]:
                 "make it as large as its variables",
                 "shape",
             )
-        constant = all(locator.find(s, label).kind is Value.PARAMETER for s in ca.symvar(matrix))
+        constant = all(locator.find(s, label).kind is ValueKind.PARAMETER for s in ca.symvar(matrix))
         if constant and matrix.sparsity().is_diag():
             for i, m, s in zip(where, scalars(matrix), ca.vertsplit(x), strict=True):
                 diagonal[i] = m
@@ -77,7 +77,7 @@ def closed_pairs(model: PHDAE, out: Terms, locator: Locator) -> None:
         if pair.ebar is not None and pair.zbar is not None:
             exprs |= {"ebar": pair.ebar(x, d), "zbar": pair.zbar(x, d)}
         out.terms.append(
-            make_term(CLOSED, exprs, locator.also(d, Value.INCREMENT, where), "closed-form pair",
+            make_term(CLOSED, exprs, locator.also(d, ValueKind.INCREMENT, where), "closed-form pair",
                       rows=[RowAt(Row.BALANCE, i) for i in where], owner=out.member(pair.owner),
                       extra=[*ca.vertsplit(x), *ca.vertsplit(d)])
         )  # fmt: skip

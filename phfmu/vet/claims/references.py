@@ -17,7 +17,7 @@ from phfmu.fmu.export.variables import FMUError
 from phfmu.fmu.importer.refusal import UnitCallError
 from phfmu.fmu.importer.unit_file import unit_file
 from phfmu.fmu.importer.unit_interface import Scalar
-from phfmu.references.experiment import TYPES, Experiment, Series, read_experiments, read_series
+from phfmu.references.experiment import TYPES, Series, UnitExperiment, read_experiments, read_series
 from phfmu.references.layer import CSV, EXPERIMENT, PARAMETER, RESULT, SSV, content, related
 from phfmu.ssp.flat import bound
 from phfmu.ssp.loading import with_values
@@ -41,7 +41,7 @@ LONGEST = limits.DESCRIPTION
 class _Task:
     """An experiment with what its files hold: start values by name, stimuli, results; `notes`: what was left out."""
 
-    experiment: Experiment
+    experiment: UnitExperiment
     starts: Mapping[str, float]
     stimuli: Series | None
     results: Series
@@ -63,7 +63,7 @@ def results(subject: Subject) -> ClaimFinding:
         ]
         if not experiments:
             plain = [f for f in files if f.main_role == RESULT and f.type == CSV]
-            experiments = [Experiment(f.description or f.name, results=f.name) for f in plain]
+            experiments = [UnitExperiment(f.description or f.name, results=f.name) for f in plain]
         used = {e.parameters for e in experiments}
         sets = [f.name for f in files if f.main_role == PARAMETER and f.type == SSV and f.name not in used]
         found = [_experiment(subject, e) for e in experiments] + [_set_by_itself(subject, name) for name in sets]
@@ -78,13 +78,13 @@ def results(subject: Subject) -> ClaimFinding:
     return ClaimFinding(next((v for v in (FALSE, HOLDS) if v in verdicts), found[0].verdict), seen)
 
 
-def _told(subject: Subject, file: str) -> list[Experiment]:
+def _told(subject: Subject, file: str) -> list[UnitExperiment]:
     data = content(subject.path, file)
-    missing = [Experiment(file, why=f"the unit names {file} and does not hold it")]
+    missing = [UnitExperiment(file, why=f"the unit names {file} and does not hold it")]
     return missing if data is None else read_experiments(data, file)
 
 
-def _experiment(subject: Subject, e: Experiment) -> ClaimFinding:
+def _experiment(subject: Subject, e: UnitExperiment) -> ClaimFinding:
     """One experiment: untested where it has no results or is none that can be run here."""
     name = f"experiment '{e.name}'"
     if e.why or not e.results:

@@ -18,7 +18,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from phfmu.declare.expressions.units import Unit, UnitError, is_power, parse_unit
+from phfmu.declare.expressions.units import PhysicalUnit, UnitError, is_power, parse_unit
 from phfmu.declare.port import DOMAINS, Domain, Given, conjugate
 from phfmu.fmu.export.manifest import PortMap
 from phfmu.fmu.export.variables import FMUError
@@ -29,7 +29,7 @@ from phfmu.words import meant
 SAME = 1e-12
 
 
-def unit_of(interface: UnitInterface, name: str) -> Unit | None:
+def unit_of(interface: UnitInterface, name: str) -> PhysicalUnit | None:
     """The unit of a variable by the definitions of the description, else by its text; None where that says nothing."""
     text = interface.variables[name].unit
     if text in interface.units:
@@ -40,7 +40,7 @@ def unit_of(interface: UnitInterface, name: str) -> Unit | None:
         return None
 
 
-def domain_of(effort: Unit | None, flow: Unit | None) -> Domain | None:
+def domain_of(effort: PhysicalUnit | None, flow: PhysicalUnit | None) -> Domain | None:
     """The domain with these dimensions."""
     for d in DOMAINS.values():
         own = parse_unit(d.effort_unit), parse_unit(d.flow_unit)
@@ -51,7 +51,7 @@ def domain_of(effort: Unit | None, flow: Unit | None) -> Domain | None:
     return None
 
 
-def factor_to(wanted: str, units: Mapping[str, Unit | None], where: str) -> float:
+def factor_to(wanted: str, units: Mapping[str, PhysicalUnit | None], where: str) -> float:
     """The factor from values of the variables in `units` to the unit `wanted`; 1 where they have none.
 
     FMUError for another dimension, or variables of different units.
@@ -134,7 +134,7 @@ class _Table:
     def _factor(self, key: str, names: tuple[str, ...], wanted: str) -> float:
         return factor_to(wanted, {n: self._unit(key, n) for n in names}, self.where)
 
-    def _unit(self, key: str, name: str) -> Unit | None:
+    def _unit(self, key: str, name: str) -> PhysicalUnit | None:
         """The unit of measurement of a variable: the one of the table, else the one that the unit tells."""
         told = self.table.get(f"{key}_unit")
         try:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from phfmu.studies.bench.apart.networks import composed, instances, joined, planned
 from phfmu.studies.bench.apart.turns import StepperTurns, in_turns
-from phfmu.studies.markdown import markdown_table
+from phfmu.studies.tables import markdown_table
 
 if TYPE_CHECKING:
     from phfmu.network.network import Network

@@ -15,7 +15,7 @@ from phfmu.network.scene import Scene
 from phfmu.studies.bench.mechanisms.assembly import Array, RigidBodySystem
 from phfmu.studies.bench.mechanisms.lagrange import Lagrange, lagrange_of
 from phfmu.studies.bench.precision import own
-from phfmu.studies.bench.precision.buffered_function import compiled_expression
+from phfmu.studies.bench.precision.array_function import compiled_expression
 from phfmu.studies.bench.precision.candidate import Candidate, CandidateRun, Solve
 from phfmu.studies.bench.precision.problem import SolutionErrors, problem_of
 

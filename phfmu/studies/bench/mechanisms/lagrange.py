@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.studies.bench.mechanisms.assembly import GROUND, BodyJoint, RigidBodySystem, cross_matrix
-from phfmu.studies.bench.precision.buffered_function import compiled_expression
+from phfmu.studies.bench.precision.array_function import compiled_expression
 
 Array = NDArray[np.float64]
 #: relative tolerances of the reference; the distance of its solutions is its uncertainty

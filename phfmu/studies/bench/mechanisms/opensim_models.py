@@ -113,6 +113,8 @@ class Process:
 
 
 class _OpenSim:
+    """Runs of OpenSim's process at an accuracy."""
+
     def __init__(self, case: MechanismCase, process: Process, accuracy: float):
         self._case, self._process, self._accuracy = case, process, accuracy
 

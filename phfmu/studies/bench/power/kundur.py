@@ -28,7 +28,7 @@ from phfmu.studies.bench.power.circuit import (
     phases,
     power_flow,
 )
-from phfmu.studies.bench.precision.buffered_function import BufferedFunction, compiled_expression
+from phfmu.studies.bench.precision.array_function import ArrayFunction, compiled_expression
 
 Array = NDArray[np.float64]
 
@@ -56,7 +56,7 @@ class Kundur:
         self.x0 = np.concatenate([psid, psiq, [0.0, 0.0, theta], line, np.array(phases(flow.machine * peak)) / VB])
 
     @cached_property
-    def rate(self) -> BufferedFunction:
+    def rate(self) -> ArrayFunction:
         """(t, x, conductance of the fault in per unit) -> x' [1/s], compiled."""
         p, t, x, fault = PU, ca.SX.sym("t"), ca.SX.sym("x", 15), ca.SX.sym("fault")
         psid, psiq, il, vc = x[:3], x[3:6], x[9:12], x[12:]

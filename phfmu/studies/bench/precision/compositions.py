@@ -55,33 +55,12 @@ class ComposedSteps:
         require_lossless(instance.model)
         self.instance, self.composition = instance, composition
 
-    @property
-    def name(self) -> str:
-        return f"{self.composition.name} of {self.instance.model.scheme.name}"
-
-    @property
-    def order(self) -> int:
-        return self.composition.order
-
     def substeps(self, t: float, h: float) -> Iterator[tuple[float, float]]:
         """(start, length) of the substeps of [t, t + h], taken one after the other; they may leave it and come back."""
         at, g = np.concatenate([[0.0], np.cumsum(self.composition.substeps)]), self.composition.substeps
         for i in range(len(g)):
             self.instance.do_step(t + at[i] * h, g[i] * h)
             yield t + at[i] * h, g[i] * h
-
-    def do_step(self, t: float, h: float) -> None:
-        """One step over [t, t + h]."""
-        for _ in self.substeps(t, h):
-            pass
-
-    def run(self, t0: float, h: float, n: int) -> Array:
-        """States after each of n steps (n x states)."""
-        rows = []
-        for k in range(n):
-            self.do_step(t0 + k * h, h)
-            rows.append(self.instance.x)
-        return np.array(rows)
 
 
 def require_lossless(model: Model) -> None:

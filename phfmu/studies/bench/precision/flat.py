@@ -6,7 +6,7 @@ import casadi as ca
 
 from phfmu.declare.entries.coefficients import coefficient, square, stacked
 from phfmu.declare.phdae import PHDAE
-from phfmu.declare.variable import Value, _sx, time
+from phfmu.declare.variable import ValueKind, _sx, time
 from phfmu.terms.canonical import Locator
 from phfmu.terms.term import Terms
 from phfmu.terms.velocities import velocity_of
@@ -58,7 +58,7 @@ class FlatSystem:
         f = ca.SX.zeros(n1 + self.terms.na)
 
         def at(variables) -> list[int]:
-            return [at.index + n1 * (at.kind is not Value.STATE) for v in variables for at in locator.of(v)]
+            return [at.index + n1 * (at.kind is not ValueKind.STATE) for v in variables for at in locator.of(v)]
 
         for sign, blocks in ((1.0, d.structure), (-1.0, d.dissipation)):
             for block in blocks:

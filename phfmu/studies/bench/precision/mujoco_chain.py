@@ -45,6 +45,8 @@ def _xml(links: int, h: float, integrator: str) -> str:
 
 
 class _MuJoCo:
+    """A chain of hinged links stepped by one of MuJoCo's integrators with steps of h [s]."""
+
     def __init__(self, problem: InitialValueProblem, links: int, integrator: str, h: float):
         problem.require_step(h)
         mujoco: Any = import_module("mujoco")

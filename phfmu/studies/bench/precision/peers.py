@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.engine.build.machine_code import compiled
-from phfmu.studies.bench.precision.buffered_function import BufferedFunction, compiled_expression
+from phfmu.studies.bench.precision.array_function import ArrayFunction, compiled_expression
 from phfmu.studies.bench.precision.candidate import Candidate, CandidateRun, NotAvailable
 from phfmu.studies.bench.precision.problem import InitialValueProblem
 
@@ -42,10 +42,10 @@ class ProblemFunctions:
         self.problem = problem
 
     @cached_property
-    def rate(self) -> BufferedFunction:
+    def rate(self) -> ArrayFunction:
         """(t, x, live) -> x'."""
         ode = self.problem.system.ode
-        return BufferedFunction(compiled(ode) if ode.is_a("SXFunction") else ode)
+        return ArrayFunction(compiled(ode) if ode.is_a("SXFunction") else ode)
 
     @cached_property
     def with_derivatives(self) -> ca.Function:
@@ -87,6 +87,8 @@ def scipy_candidates(
 
 
 class _Scipy:
+    """Solutions of a problem by a method of SciPy at a relative tolerance, from event to event."""
+
     def __init__(self, problem: InitialValueProblem, functions: ProblemFunctions, method: str, rtol: float):
         self._problem, self._method, self._rtol = problem, method, rtol
         self.rate: Callable[..., Array] = functions.rate

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
@@ -10,6 +9,8 @@ from typing import Any
 
 from phfmu.studies.bench.precision.problem import InitialValueProblem, WorkPrecisionProblem
 from phfmu.studies.bench.precision.work_precision import WorkPrecisionRow, WorkPrecisionTable, costs_at
+from phfmu.studies.figures import pyplot, save
+from phfmu.studies.tables import aligned_table
 
 FLOOR = 1e-17  # zero on a logarithmic axis
 
@@ -35,12 +36,7 @@ def _text(value: Any) -> str:
 
 def rows_text(problem: InitialValueProblem, table: WorkPrecisionTable) -> str:
     """The table in aligned columns."""
-    lines = [columns(problem), *([_text(c) for c in cells(r)] for r in table.rows)]
-    width = [max(len(line[i]) for line in lines) for i in range(len(lines[0]))]
-    return "\n".join(
-        "  ".join(c.ljust(w) if i < 2 else c.rjust(w) for i, (c, w) in enumerate(zip(line, width, strict=True)))
-        for line in lines
-    )
+    return aligned_table(columns(problem), ([_text(c) for c in cells(r)] for r in table.rows), 2)
 
 
 def ratios_text(problem: InitialValueProblem, table: WorkPrecisionTable, errors: Sequence[float]) -> list[str]:
@@ -62,16 +58,6 @@ def ratios_text(problem: InitialValueProblem, table: WorkPrecisionTable, errors:
             + (", ".join(parts) or "no peers")
         )
     return out
-
-
-def write_csv(path: Path, problem: InitialValueProblem, table: WorkPrecisionTable, about: Sequence[str]) -> None:
-    """Rows with full precision below lines of comment: machine, settings, remarks."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        for line in [*about, *table.remarks]:
-            file.write(f"# {line}\n")
-        out = csv.writer(file)
-        out.writerow(columns(problem))
-        out.writerows([[f"{c:.6g}" if isinstance(c, float) else c for c in cells(r)] for r in table.rows])
 
 
 def _lines(
@@ -108,10 +94,7 @@ def draw_lines(ax: Any, problem: WorkPrecisionProblem, table: WorkPrecisionTable
 
 def write_png(path: Path, problem: InitialValueProblem, table: WorkPrecisionTable, caption: str) -> None:
     """CPU time over error, one line per method; own schemes in full colour with filled marks."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
+    plt = pyplot()
 
     figure, ax = plt.subplots(figsize=(8.5, 5.4), layout="constrained")
     draw_lines(ax, problem, table)
@@ -119,8 +102,7 @@ def write_png(path: Path, problem: InitialValueProblem, table: WorkPrecisionTabl
     ax.set(xlabel=which, ylabel="CPU time in ms per simulated second", title=problem.name)
     ax.legend(fontsize=8, frameon=False, bbox_to_anchor=(1.01, 1.0), loc="upper left")
     figure.supxlabel(caption, fontsize=7, color="0.4")
-    figure.savefig(path, dpi=150)
-    plt.close(figure)
+    save(figure, path)
 
 
 def write_html(path: Path, problem: InitialValueProblem, table: WorkPrecisionTable, caption: str) -> None:

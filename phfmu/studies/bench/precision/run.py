@@ -13,6 +13,7 @@ from phfmu.studies.bench.precision import exudyn_particles, mujoco_chain, own, p
 from phfmu.studies.bench.precision.candidate import Candidate
 from phfmu.studies.bench.precision.problem import InitialValueProblem
 from phfmu.studies.bench.precision.work_precision import WorkPrecisionTable, measure
+from phfmu.studies.tables import write_csv
 
 TOLERANCES = (1e-3, 1e-4, 1e-6, 1e-8, 1e-10)
 #: default steps in multiples of the scene's step
@@ -97,7 +98,8 @@ def write(found: WorkPrecisionReport, folder: Path) -> list[str]:
     problem, table = found.problem, found.table
     folder.mkdir(parents=True, exist_ok=True)
     written = [f"{problem.name}.csv"]
-    report.write_csv(folder / written[0], problem, table, [*found.about, *found.ratios])
+    rows = map(report.cells, table.rows)
+    write_csv(folder / written[0], [*found.about, *found.ratios, *table.remarks], report.columns(problem), rows)
     if find_spec("matplotlib") is not None:
         written.append(f"{problem.name}.png")
         report.write_png(folder / written[-1], problem, table, f"{found.caption}\n{machine.versions()}")

@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.studies.bench.precision.buffered_function import compiled_expression
+from phfmu.studies.bench.precision.array_function import compiled_expression
 from phfmu.studies.bench.precision.candidate import Candidate, CandidateRun, missing
 from phfmu.studies.bench.precision.peers import absolute
 from phfmu.studies.bench.precision.problem import InitialValueProblem
@@ -104,6 +104,8 @@ class _Functions:
 
 
 class _Ida:
+    """Solutions of a problem by IDA at a relative tolerance, from event to event."""
+
     def __init__(self, problem: InitialValueProblem, functions: _Functions, rtol: float):
         self._problem, self._f, self._rtol = problem, functions, rtol
         self._atol = absolute(problem, rtol)

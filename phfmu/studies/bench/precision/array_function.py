@@ -13,7 +13,7 @@ from phfmu.engine.build.machine_code import compiled
 Array = NDArray[np.float64]
 
 
-class BufferedFunction:
+class ArrayFunction:
     """A function of flat arrays on buffers that stay: arguments are copied in, the first result is a fresh array."""
 
     def __init__(self, f: ca.Function):
@@ -32,6 +32,6 @@ class BufferedFunction:
         return self._out[0].copy()
 
 
-def compiled_expression(name: str, arguments: Sequence[ca.SX], expression: ca.SX) -> BufferedFunction:
+def compiled_expression(name: str, arguments: Sequence[ca.SX], expression: ca.SX) -> ArrayFunction:
     """An expression in machine code; the result is dense, of a matrix by columns."""
-    return BufferedFunction(compiled(ca.Function(name, [*arguments], [ca.densify(expression)])))
+    return ArrayFunction(compiled(ca.Function(name, [*arguments], [ca.densify(expression)])))

@@ -1,4 +1,4 @@
-"""Values at times between the rows of a run: on the line between two rows, and the derivatives of that."""
+"""Linear interpolation between the rows of a run, with its derivatives."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
-class Between:
+class LinearInterpolation:
     """Values at times t (m) from rows at times `rows` (n); `between`: how many of the times are on no row.
 
     ValueError for times outside the run, which are called `what`; `remedy`: what to do about that.

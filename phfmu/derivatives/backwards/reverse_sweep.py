@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.derivatives.backwards.legs import Call, Leg, Occurrence
+from phfmu.derivatives.backwards.legs import CompiledCall, Leg, Occurrence
 from phfmu.derivatives.backwards.run_bars import RunBars
 from phfmu.derivatives.derived import DerivedSteps
-from phfmu.derivatives.event_maps import Instant
+from phfmu.derivatives.event_maps import EventInstant
 from phfmu.derivatives.tangents import weights_at_end
 from phfmu.engine.native.reverse import NativeReverse, RowBars
 from phfmu.events.modes import Mode
@@ -26,15 +26,20 @@ from phfmu.events.modes import Mode
 Array = NDArray[np.float64]
 
 
-class WayBack:
-    """The way back over the legs of a run, from the mode that it ended in.
+class ReverseSweep:
+    """Reverse sweep over the legs of a run, from the mode that it ended in.
 
     `tau`: bars of the instant where the next leg begins
     again: makes a call of the run once more, with values at the ends of steps if they are wanted
     """
 
     def __init__(
-        self, run: DerivedSteps, bars: RunBars, total: int, mode: Mode | None, again: Callable[[Call, bool], None]
+        self,
+        run: DerivedSteps,
+        bars: RunBars,
+        total: int,
+        mode: Mode | None,
+        again: Callable[[CompiledCall, bool], None],
     ):
         self._run, self._bars, self._total, self._maps, self._again = run, bars, total, run.maps, again
         self._backs: dict[tuple[Mode | None, bool, int], NativeReverse] = {}
@@ -47,7 +52,7 @@ class WayBack:
         self._free = total
 
     def _of(self, mode: Mode | None, guard: bool = False, damped: Any = None) -> NativeReverse:
-        """The way back over steps in a mode, or of a companion, of the measures or of a guard."""
+        """Reverse sweep over steps in a mode, or of a companion, of the measures or of a guard."""
         key = mode, guard, id(damped)
         if key not in self._backs:
             instance = self._run.instance if mode is None else self._run.instance.of(mode)[0]
@@ -96,7 +101,7 @@ class WayBack:
         b.pairs[:] += self._bars.energies(told[0])[0]
         b.lost[:] += self._bars.energies(told[0])[1]
         self._tau += self._bars.by_time(row, self._total)
-        before = Instant(e.t, leg.end, e.a_before, at.u, at.p)
+        before = EventInstant(e.t, leg.end, e.a_before, at.u, at.p)
         if self._run.entry is not None:
             entry = self._run.entry.slope(replace(before, x=maps.jumped(before, e.fired, e.rests)), at.x)
             own = b.x[:, : self._nx].copy()
@@ -116,7 +121,7 @@ class WayBack:
         b.p[:, list(d.parameters)] += along[:, : len(d.parameters)]
         b.u[:, list(d.inputs)] += along[:, len(d.parameters) :]
 
-    def _at_instant(self, at: Instant, there: Array) -> None:
+    def _at_instant(self, at: EventInstant, there: Array) -> None:
         """Bars of values at an instant become those of its states and time."""
         b = self.back.bars
         kept = b.x.copy()
@@ -173,7 +178,7 @@ class WayBack:
         self._parts(leg, which, step, bars, moves=True)
         b = self.back.bars
         t, h = b.x[:, nx] + self._tau, b.h[:, 0] + self._tau
-        at = Instant(e.t, leg.end, e.a_before, leg.held, leg.parameters)
+        at = EventInstant(e.t, leg.end, e.a_before, leg.held, leg.parameters)
         through = [self._guard(i, at, leg, which, step) for i in e.fired]
         for i, g in zip(e.fired, through, strict=True):
             maps.require_crossing(i, e.t, g.h, leg.call.grid.h)
@@ -192,7 +197,7 @@ class WayBack:
             self._along(-np.outer(own, g.along))
         self._tau = t
 
-    def _guard(self, i: int, at: Instant, leg: Leg, which: slice, step: Any) -> _Through:
+    def _guard(self, i: int, at: EventInstant, leg: Leg, which: slice, step: Any) -> _GuardSlope:
         """Guard i at the end of a step by where it begins."""
         g, nx = self._run.maps_in(leg.mode).guard(i, at), self._nx
         probe = self._of(leg.mode, guard=True)
@@ -203,7 +208,7 @@ class WayBack:
         nothing = RowBars(np.zeros(0, np.int32), np.zeros((0, 1, 1)))
         self._parts(leg, which, step, nothing, moves=True, back=probe)
         along = self._d.of(b.p[0], b.u[0]) + g.along
-        return _Through(b.x[0, :nx].copy(), float(b.x[0, nx]) + g.t, float(b.h[0, 0]) + g.t, along)
+        return _GuardSlope(b.x[0, :nx].copy(), float(b.x[0, nx]) + g.t, float(b.h[0, 0]) + g.t, along)
 
     def _instant_rows(self, leg: Leg, told: Array, instants: Array, a_end: Array, step: Any) -> None:
         """Bars of values at the ends of steps become bars of the states there, and of the time of the last one."""
@@ -226,7 +231,7 @@ class WayBack:
 
 
 @dataclass(frozen=True)
-class _Through:
+class _GuardSlope:
     """Derivative of a guard at the end of a step by its states at the start, its start, its length and the directions."""
 
     x: Array
