@@ -150,8 +150,8 @@ OPPOSITE = 0.99
 
 
 @dataclass(frozen=True)
-class Contact:
-    """gap: a distance, whose rate is to be c;  remedy: for one of the wrong sign."""
+class GapRate:
+    """Gap of a switch or jump, and the velocity c that is to be its rate; `remedy`: for one of the wrong sign."""
 
     rule: str
     entry: str
@@ -161,7 +161,10 @@ class Contact:
 
 
 def closing(model: PHDAE, switches: Sequence[Switch]) -> list[Problem]:
-    """`model`: in one of the modes of its `switches`.  What cannot be compared is left out."""
+    """Contacts that act against the rate of their gap; those that cannot be compared are left out.
+
+    model: in one of the modes of its `switches`
+    """
     contacts = [*_gaps(model, switches), *_jumps(model.state_events)]
     if not contacts:
         return []
@@ -184,12 +187,12 @@ def closing(model: PHDAE, switches: Sequence[Switch]) -> list[Problem]:
     return found
 
 
-def _gaps(model: PHDAE, switches: Sequence[Switch]) -> Iterator[Contact]:
+def _gaps(model: PHDAE, switches: Sequence[Switch]) -> Iterator[GapRate]:
     for s in switches:
         if s.gap is not None and s.law == "unilateral":
             on = ", ".join(f"{v.name}: {ca.SX(-_sx(column))}" for v, column in s.on.items())
             gap = ca.SX(_sx(s.gap))
-            yield Contact(
+            yield GapRate(
                 "switch",
                 f"switch '{s.name}'",
                 gap,
@@ -198,7 +201,7 @@ def _gaps(model: PHDAE, switches: Sequence[Switch]) -> Iterator[Contact]:
             )
 
 
-def _jumps(events: Sequence[StateEvent]) -> Iterator[Contact]:
+def _jumps(events: Sequence[StateEvent]) -> Iterator[GapRate]:
     for e in events:
         if e.jump is None or e.jump.law != "unilateral" or e.guard.direction == 0:
             continue
@@ -206,7 +209,7 @@ def _jumps(events: Sequence[StateEvent]) -> Iterator[Contact]:
         c = sum((ca.dot(ca.SX(_sx(column)), v.z) for v, column in e.jump.on.items()), ca.SX(0))
         on = ", ".join(f"{v.name}: {ca.SX(-_sx(column))}" for v, column in e.jump.on.items())
         remedy = f"turn the sign of its column round, {{{on}}}, or the direction of the guard"
-        yield Contact("state-event", f"jump '{e.guard.name}'", gap, c, remedy)
+        yield GapRate("state-event", f"jump '{e.guard.name}'", gap, c, remedy)
 
 
 def _cosine(model: PHDAE, speed: ca.SX, c: ca.SX, read: ca.SX) -> float:

@@ -25,7 +25,7 @@ from phfmu.runs.march.restart import monolithic
 from phfmu.runs.march.stretches import Stretch, stretches
 from phfmu.runs.options import Options
 from phfmu.runs.result import Result
-from phfmu.runs.rows import RowBlocks, Rows, RunColumns
+from phfmu.runs.rows import RowBlocks, RowCollector, RunColumns
 from phfmu.words import counted
 
 if TYPE_CHECKING:
@@ -58,7 +58,7 @@ def _run(stepper: Stepper, options: Options, events: Callable[..., Iterator[Even
     told = RunColumns(stepper, options.signals, options.step)
     if options.columns is not None:
         options.columns(told.names, told.units, told.kinds, told.labels)
-    book, rows = Book(stepper, ledger, options.happened), Rows(options)
+    book, rows = Book(stepper, ledger, options.happened), RowCollector(options)
     march = _march(stepper, book, options)
     if options.hash_states:
         _hash_states(stepper, book, march, options)
@@ -137,7 +137,7 @@ def _resumed(state: RunState, found: Mapping[str, Any], told: RunColumns, march:
     return march.on(stretch)
 
 
-def _ended(stepper: Stepper, book: Book, rows: Rows, told: RunColumns, end: EndRequested) -> str:
+def _ended(stepper: Stepper, book: Book, rows: RowCollector, told: RunColumns, end: EndRequested) -> str:
     """The last row of a run that a unit asks to end, up to where it asks; a line about it."""
     steps = end.last
     if steps is None and end.back and end.reached > end.time:

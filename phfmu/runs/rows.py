@@ -28,7 +28,7 @@ RowBlocks = Iterator[RowBlock]
 MOST = 2**62
 
 
-class Rows:
+class RowCollector:
     """Rows by blocks: given to `options.keep`, or kept here; `last`: the time of the last one (s)."""
 
     CARRIED = ("_seen", "_place", "_left_out", "_blocks", "last")

@@ -71,7 +71,16 @@ def test_calls_without_rules_between_those_of_simulations(
 
 @pytest.mark.parametrize(
     ("name", "version"),
-    longer([("oscillator", "2.0"), ("speed_control", "3.0"), ("smib", "2.0")], ("speed_control", "3.0")),
+    longer(
+        [
+            ("oscillator", "2.0"),
+            ("speed_control", "3.0"),
+            ("smib", "2.0"),
+            ("rectifier", "3.0"),
+            ("clutch_engagement", "2.0"),
+        ],
+        ("speed_control", "3.0"),
+    ),
 )
 def test_calls_without_rules_of_coupled_members(sanitizers: str, tmp_path: Path, name: str, version: str) -> None:
     scene = build(name)

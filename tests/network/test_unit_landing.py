@@ -293,15 +293,3 @@ def test_so_it_is_beside_units_of_other_tools(
         assert unit.get(["events.count"])[0] == 2
     foreign.mass(folder / "pump.fmu", inner, saves=False)
     assert main([*line[:-3], "gauss-seidel", *line[-2:]]) == 2
-
-
-@pytest.mark.parametrize(
-    ("line", "said"),
-    [
-        ("clutch_engagement --as-unit", "clutch have ideal switches, which the coupling inside a unit does not land on"),
-        ("buffer --as-unit --order 4", "guards of body read what others give, so that all members land as one composed"),
-    ],
-)  # fmt: skip
-def test_refused(line: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["export", *line.split(), "-o", str(tmp_path)]) == 2
-    assert said in capsys.readouterr().err and not list(tmp_path.iterdir())

@@ -102,6 +102,11 @@ class ExportedUnit:
         return self.model.events is not None
 
     @property
+    def changes_modes(self) -> bool:
+        """Whether it has ideal switches, or lands as what may have some."""
+        return self.model.modes is not None
+
+    @property
     def derives_by_states(self) -> bool:
         """Whether it tells derivatives of its steps by states and parameters, too."""
         return self.derives and self.model.step.nu > 0 and not self.lands and not self.model.step.carries

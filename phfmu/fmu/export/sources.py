@@ -31,7 +31,7 @@ HEADERS = Path(str(fmpy.__file__)).parent / "c-code"
 _PREFIXES = tuple(v.prefix for v in VERSIONS.values())
 
 #: files of units with inputs at the nodes of a step, of those whose ports take impulses, and with switches
-NODES, IMPULSES, MODES = ("fmu_nodes.c",), ("impulses.c", "impulses.h"), ("fmu_modes.c",)
+NODES, IMPULSES, MODES = ("fmu_nodes.c",), ("impulses.c", "impulses.h"), ("fmu_modes.c", "fmu_mode_refused.c")
 #: of units with derivatives by states and parameters
 ALONG = ("fmu_along.c",)
 #: with state events, and of one model
@@ -74,17 +74,22 @@ def token(unit: ExportedUnit, equations: dict[str, str]) -> str:
 def fixed(unit: ExportedUnit) -> Sources:
     """The hand-written part of it: name -> path."""
     if drivers := unit.drivers():
-        absent = (*NODES, *LANDING, *MODES, *ALONG, *(() if unit.lands else HAPPENED))
+        absent = (*NODES, *LANDING, *MODES[:1], *ALONG, *(() if unit.lands else HAPPENED))
+        absent += () if unit.changes_modes else MODES
         layers = {n: p for n, p in _layers().items() if n not in absent}
-        return {**runtime_sources(*(["events"] if unit.lands else [])), **drivers, **layers}
-    events = unit.lands
-    modes = unit.model.modes is not None
-    parts = (*(["events"] if events else []), *(["modes"] if modes else []))
+        return {**runtime_sources(*_parts(unit)), **drivers, **layers}
+    events, modes = unit.lands, unit.changes_modes
+    parts = _parts(unit)
     absent = (() if unit.at_nodes else NODES) + (() if unit.kernels else IMPULSES)
     absent += () if events else (*HAPPENED, *LANDING)
     absent += () if modes else MODES
     absent += () if unit.derives_by_states else ALONG
     return {name: path for name, path in {**runtime_sources(*parts), **_layers()}.items() if name not in absent}
+
+
+def _parts(unit: ExportedUnit) -> list[str]:
+    """Folders of the runtime that it needs."""
+    return [*(["events"] if unit.lands else []), *(["modes"] if unit.changes_modes else [])]
 
 
 def _layers() -> Sources:

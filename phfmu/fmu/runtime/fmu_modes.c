@@ -1,6 +1,5 @@
 /* Ideal switches of a unit: an instance for each mode, of which one is present. Only units with switches have
  * this file. */
-#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -175,24 +174,10 @@ int fmu_modes_step(fmu *f, double t, double h, int n, int *stopped) {
 int fmu_modes_refused(const fmu *f, const char *function) {
     const world *w = f->modes;
     const ph_mode_refusal *r = ph_modes_refusal(w->modes);
-    char names[256] = "", text[128];
-    size_t used = 0;
     if (r->reason < 0)
         return fmu_event_refused(f, function, ph_land_refusal(w->failed->landing),
                                  f->about->landing->events->n, f->about->landing->names);
-    for (int i = 0; i < about(f)->switches->n && used < sizeof(names); i++)
-        if (r->which[i])
-            used += (size_t)snprintf(names + used, sizeof(names) - used, "%s'%s'", used ? ", " : "",
-                                     about(f)->names[i]);
-    if (r->reason == PH_REFUSED_MOST)
-        snprintf(text, sizeof(text), "it would cut %.6g, more than its most = %.6g", r->value, r->limit);
-    else if (r->reason == PH_REFUSED_SHARED)
-        snprintf(text, sizeof(text), "it opens, but what it holds depends on others and is not determined");
-    else
-        snprintf(text, sizeof(text), "no mode of the switches obeys their laws");
-    return fmu_say(f, FMU_DISCARD, FMU_LOG_ERRORS,
-                   "%s: %s. At t = %.9g s %s: %s. The component is back at t = %.9g s", function,
-                   ph_status_text(PH_EVENT), r->t, names, text, fmu_time(f));
+    return fmu_mode_refused(f, function, r, about(f)->switches->n, about(f)->names);
 }
 
 static size_t sides_size(const fmu *f) {

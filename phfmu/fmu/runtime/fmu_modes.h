@@ -44,4 +44,9 @@ void fmu_modes_reset(fmu *f);
 void fmu_modes_asked(const fmu *f, double *p);
 void fmu_modes_ask(fmu *f, double *p);
 
+/* fmu_mode_refused.c: why a change of modes was refused, and which of n switches are to blame. */
+struct ph_mode_refusal;
+int fmu_mode_refused(const fmu *f, const char *function, const struct ph_mode_refusal *r, int n,
+                     const char *const *switches);
+
 #endif

@@ -16,11 +16,15 @@ from phfmu.engine.build.tables import array_text, c_text, events_text
 from phfmu.engine.model import kernels
 from phfmu.events.event_plan import EventPlan
 from phfmu.fmu.words import c_string
+from phfmu.network.as_unit.composed import not_composed
 from phfmu.network.couplings.coupled import Coupled
 from phfmu.network.couplings.landing.side_by_side import side_by_side, without_inputs
 from phfmu.network.couplings.newton import Newton
 from phfmu.network.couplings.unconverged import plain
 from phfmu.network.members.engine_member import EngineMember
+
+#: functions of `ph_lander`
+_FUNCTIONS = ("make", "release", "land", "state_size", "save", "load", "fault", "refusal")
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,13 +64,13 @@ class Landers:
 
     def fields(self) -> str:
         """Fields of ph_network."""
-        return f"    .lander = &lander,\n    .nlanded = {without_inputs(self.model).n},\n"
+        return "    .lander = &lander,\n"
 
     def text(self) -> str:
         """C text that defines `lander`, a ph_lander."""
         n = self._number
         names = [f"{m}.{g}" for m, model in zip(self.names, self.models, strict=True) for g in model.events.names]  # type: ignore[union-attr]
-        functions = "".join(f", .{f} = ph_lander_{f}" for f in ("make", "release", "land", "rates", "refusal"))
+        functions = "".join(f", .{f} = ph_lander_{f}" for f in _FUNCTIONS)
         externs = (
             f"extern const ph_model ph_member{n};\nextern const ph_events ph_guards{n};\n" if n == self.size else ""
         )
@@ -87,7 +91,12 @@ def not_landed(whole: Coupled) -> str:
     names = ", ".join(m.name for m in together[:4])
     exchange = inner.exchange if isinstance(inner := plain(whole.coupling), Newton) else None
     if exchange is not None and exchange.whole:
-        return f"guards of {names} read what others give, so that all members land as one composed declaration"
+        return not_composed(whole)
+    if switched := [m.name for m in whole.joined.members if isinstance(m, EngineMember) and m.model.modes is not None]:
+        return (
+            f"{', '.join(switched[:4])} have ideal switches, which land inside the steps of their members, not as one composed "
+            "declaration"
+        )
     units = [m for m in whole.joined.members if not isinstance(m, EngineMember)]
     if together and units:
         return (

@@ -5,7 +5,7 @@ The tables are what Python gives the compiled master of a run; what that writes 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -19,6 +19,7 @@ from phfmu.engine.impulses import port_kernels
 from phfmu.engine.model import kernels
 from phfmu.fmu.words import c_string
 from phfmu.fmu.xml import number
+from phfmu.network.as_unit.composed import ComposedEvents
 from phfmu.network.as_unit.embedded import EmbeddedUnit
 from phfmu.network.as_unit.landers import Landers
 from phfmu.network.couplings.compiled.master import Master
@@ -69,11 +70,19 @@ class TableText:
 
 
 def network_files(
-    whole: Coupled, master: Master, members: Sequence[Model | EmbeddedUnit], step: float, together: Landers | None
+    whole: Coupled,
+    master: Master,
+    members: Sequence[Model | EmbeddedUnit],
+    step: float,
+    landing: Landers | ComposedEvents | None,
 ) -> dict[str, str]:
     """kernels, tangents, models and ports of all members, and network.c: file name -> text; alike members share theirs."""
-    models = {i: m for i, m in enumerate(members) if not isinstance(m, EmbeddedUnit)}
-    guarded = {i: together.plan(i) if together and i in together.members else m.events for i, m in models.items()}
+    together, relations = landing if isinstance(landing, Landers) else None, _relations(landing)
+    models = {i: m for i, m in enumerate(members) if not isinstance(m, EmbeddedUnit) and i not in relations}
+    guarded = {
+        i: None if isinstance(landing, ComposedEvents) else together.plan(i) if together and i in together.members
+        else m.events for i, m in models.items()
+    }  # fmt: skip
     kicked = [native["kicks"] is not None for native in _filled(master, "ph_native")]
     ports = dict.fromkeys(range(len(members)), None) | {
         i: port_kernels(m.declaration) if k else None for (i, m), k in zip(models.items(), kicked, strict=True)
@@ -98,8 +107,13 @@ def network_files(
         if k is not None and made.setdefault(id(k), i) == i:
             files[f"ports{i}.c"] = port_text(k, f"ph_ports{i}")
     places = [None if ports[i] is None else made[id(ports[i])] for i in range(len(members))]
-    files |= together.files() if together else {}
-    return files | {"network.c": _network_text(whole, master, members, places, step, together)}
+    files |= landing.files() if landing else {}
+    return files | {"network.c": _network_text(whole, master, members, places, step, landing)}
+
+
+def _relations(landing: Landers | ComposedEvents | None) -> Collection[int]:
+    """Members that are ideal switches and nothing else."""
+    return landing.relations if isinstance(landing, ComposedEvents) else ()
 
 
 def _filled(master: Master, kind: str) -> list[Mapping[str, Any]]:
@@ -112,9 +126,11 @@ def _network_text(
     members: Sequence[Model | EmbeddedUnit],
     ports: Sequence[int | None],
     step: float,
-    together: Landers | None,
+    landing: Landers | ComposedEvents | None,
 ) -> str:
     tables, rows = TableText(), []
+    together = landing if isinstance(landing, Landers) else None
+    composed = landing if isinstance(landing, ComposedEvents) else None
     externs = ""
     shares, natives = _filled(master, "ph_share"), iter(_filled(master, "ph_native"))
     for i, (share, member, port) in enumerate(zip(shares, members, ports, strict=True)):
@@ -124,19 +140,20 @@ def _network_text(
             more, what = list[str](), f".unit = &embedded{i}"
             part = master.found.parts[i]
             tables.arrays.append(member.text(f"embedded{i}", part.told, part.taken))
+        elif composed and i in composed.relations:
+            more, what = list[str](), f".unit = &relation{i}"
+            tables.arrays.append(composed.relation_text(i))
         else:
             n, more = tables.struct("ph_native", f"native{i}", next(natives))
             what = f".model = &ph_member{i}, .ports = {'0' if port is None else f'&ph_ports{port}'}, .native = {n}"
             externs += f"extern const ph_model ph_member{i};\n"
             externs += "" if port is None else f"extern const ph_ports ph_ports{port};\n"
-            if member.events is not None and together and i in together.members:
+            if member.events is not None and not composed:
                 externs += f"extern const ph_events ph_guards{i};\n"
-            elif member.events is not None:
-                externs += f"extern const ph_events ph_guards{i};\n"
-                what += f", .inside = &inside{i}"
-                tables.arrays.append(
-                    _inside(i, [of_member(whole.joined.members[i].name, n) for n in member.events.names])
-                )
+                if not (together and i in together.members):
+                    what += f", .inside = &inside{i}"
+                    names = [of_member(whole.joined.members[i].name, n) for n in member.events.names]
+                    tables.arrays.append(_inside(i, names))
         tables.arrays.append(_rooms(f"rooms{i}", [*own, *more]))
         rows.append(
             f"    {{{what},\n     .share = {s},\n"
@@ -145,6 +162,8 @@ def _network_text(
     (values,) = _filled(master, "ph_master")
     one = np.zeros(1, np.int32)
     memory = {"xi": np.zeros(2 * values["ncolumn"]), "trials": one, "accepted": one}
+    if composed and composed.rows[0]:
+        memory |= {"a": np.zeros(composed.entries), "scaled": np.zeros(composed.entries)}
     m, rooms = tables.struct("ph_master", "master", {**values, **memory})
     (rules,) = _filled(master, "ph_rules")
     first, pairs = junction_pairs(whole)
@@ -160,9 +179,11 @@ def _network_text(
     memory = _memory(tables, master)
     with_events = [i for i, m in enumerate(members) if not isinstance(m, EmbeddedUnit) and m.events is not None]
     headers = ["network_lander.h"] if together else []
-    headers += ["member_landing.h"] if {*with_events} - {*(together.members if together else ())} else []
-    if together:
-        tables.arrays.append(together.text())
+    headers += ["composed_lander.h", "relation.h"] if composed else []
+    inside = not composed and {*with_events} - {*(together.members if together else ())}
+    headers += ["member_landing.h"] if inside else []
+    if landing:
+        tables.arrays.append(landing.text())
     given = "".join(f"    .{n} = {f'network_{n}' if len(a) else '0'},\n" for n, (_, a) in lists.items())
     return f"""\
 /* Generated. The members of {len(rows)} models, and how they are coupled. */
@@ -189,7 +210,7 @@ const ph_network ph_the_network = {{
     .room = {tables.room},
     .step = {number(step)},
     .trials = {START_TRIALS if whole.from_short_steps or not any(isinstance(m, EmbeddedUnit) for m in members) else 1},
-{given}{together.fields() if together else ""}    .njunction = {len(first) - 1},
+{given}{landing.fields() if landing else ""}    .njunction = {len(first) - 1},
 }};
 """
 

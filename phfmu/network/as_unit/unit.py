@@ -19,10 +19,12 @@ from phfmu.declare.entries.parameter_limits import limits
 from phfmu.declare.phdae import PHDAE
 from phfmu.discretise.model import Model
 from phfmu.engine.build.runtime_sources import driver_sources
+from phfmu.engine.native.native import NativeInstance
 from phfmu.fmu.export.description import ExportedUnit
 from phfmu.fmu.export.outward import require_ports, turned
 from phfmu.fmu.export.schedule import fed_inside
 from phfmu.fmu.export.variables import FMUError, FMUVariable, listed
+from phfmu.network.as_unit.composed import ComposedEvents
 from phfmu.network.as_unit.embedded import EmbeddedUnit
 from phfmu.network.as_unit.landers import Landers, not_landed
 from phfmu.network.as_unit.text import SOLVER_FILES, network_files
@@ -62,6 +64,9 @@ CALLS = ("unit.h", "unit_call.c", "unit_fmi2.c", "unit_fmi3.c")
 LANDING = ("network_landing.c", "network_landing.h")
 #: where they land together with all others, and inside their steps
 LANDERS, INSIDE = ("network_lander.c", "network_lander.h"), ("member_landing.c", "member_landing.h")
+#: where they land as one composed declaration, and what both ways to land together are made of
+AS_ONE = tuple(f"{name}.{end}" for name in ("composed_lander", "composed_refusal", "relation") for end in "ch")
+LENT = ("lent_network.c", "lent_network.h")
 #: blocks of a model -> what of a plan is as long; others are as long as there are components
 _LENGTHS = {
     "x": "nx", "a": "na", "a_end": "na", "y_step": "nq", "y_end": "nq", "energy": "nq", "row_pairs": "nq", "parameter": "np",
@@ -149,12 +154,14 @@ class NetworkUnit(ExportedUnit):
 
     @property
     def landing(self) -> str:
-        functions = "".join(f"    .{n} = fmu_network_{n},\n" for n in ("create", "release", "step", "refused"))
+        functions = "".join(f"    .{n} = fmu_network_{n},\n" for n in ("create", "release", "step"))
+        functions += f"    .refused = fmu_{'composed' if self.composed else 'network'}_refused,\n"
         return f"static const fmu_landing landing = {{\n{functions}}};\n"
 
     @property
     def headers(self) -> tuple[str, ...]:
-        return ("network.h", "network_landing.h") if self.lands else ("network.h",)
+        found = ("network.h", "network_landing.h") if self.lands else ("network.h",)
+        return (*found, "composed_refusal.h") if self.composed else found
 
     @property
     def saves(self) -> bool:
@@ -172,16 +179,34 @@ class NetworkUnit(ExportedUnit):
         return {n: data for m in self.units for n, data in m.files(platforms).items()}
 
     def texts(self) -> dict[str, str]:
-        return network_files(self.whole, self.master, self.models, self.step, self.together)
+        return network_files(self.whole, self.master, self.models, self.step, self.composed or self.together)
+
+    @cached_property
+    def composed(self) -> ComposedEvents | None:
+        """The composed declaration that all members land as; None if they do not."""
+        if self.whole.switching is None:
+            return None
+        return ComposedEvents(self.whole, tuple(m for _, m in self.named), self.step)
+
+    @property
+    def changes_modes(self) -> bool:
+        return self.composed is not None
 
     @cached_property
     def together(self) -> Landers | None:
-        """Members that land together; None if there are none."""
+        """Members that land together, each by its own guards; None if there are none."""
+        if self.composed:
+            return None
         members = enumerate(self.whole.joined.members)
         own = [i for i, m in members if isinstance(m, EngineMember) and m.together]
         models = tuple(m for i, m in enumerate(self.models) if i in own and not isinstance(m, EmbeddedUnit))
         names = tuple(self.whole.joined.members[i].name for i in own)
         return Landers(models, tuple(own), names, len(self.models)) if own else None
+
+    @property
+    def inside(self) -> bool:
+        """Whether some members land inside their own steps."""
+        return not self.composed and len(self.landing_members) > len(self.together.members if self.together else ())
 
     def drivers(self) -> dict[str, Path]:
         found = driver_sources("network/couplings", "network/as_unit")
@@ -191,7 +216,9 @@ class NetworkUnit(ExportedUnit):
             *(() if self.units else (*CALLS, *(name for name in found if name.startswith("embedded")))),
             *(() if self.lands else LANDING),
             *(() if self.together else LANDERS),
-            *(() if len(self.landing_members) > len(self.together.members if self.together else ()) else INSIDE),
+            *(() if self.composed else AS_ONE),
+            *(() if self.together or self.composed else LENT),
+            *(() if self.inside else INSIDE),
             *(name for files in SOLVER_FILES.values() for name in files if name not in own),
         }
         return {name: path for name, path in found.items() if name not in others}
@@ -373,7 +400,8 @@ def network_unit(
 
 def _stepped_in_c(member: Member) -> ShareMaker:
     """The share of a member in a unit."""
-    return NativeShare if isinstance(member, EngineMember) else own_share(member)
+    native = isinstance(member, EngineMember) and isinstance(member.instance, NativeInstance)
+    return NativeShare if native else own_share(member)
 
 
 def coupled_members(
@@ -385,7 +413,7 @@ def coupled_members(
     Errors: FMUError; ValueError where outputs do not give the junctions their values, as couplings in turn need.
     """
     from phfmu.discretise.model import build_model
-    from phfmu.engine.native.native import NativeInstance
+    from phfmu.engine.switched import stepped
     from phfmu.fmu.export.value_groups import telling_constant
     from phfmu.network.couplings.choice.partitioned_network import PartitionedNetwork
     from phfmu.network.members.engine_member import EngineMember
@@ -396,10 +424,10 @@ def coupled_members(
             f"{network.name}: {'; '.join(stuck)}: it would be stepped last, against a prediction, which a unit does not do; "
             "take --coupling gauss-seidel, or a shorter step"
         )
-    if some := [n for n, d in network.declared.items() if d.switches]:
+    if not coupling.nodes and (some := [n for n, d in network.declared.items() if d.switches]):
         raise FMUError(
-            f"{network.name}: {', '.join(some[:4])} have ideal switches, which the coupling inside a unit does not land on; "
-            "export it composed, without --as-unit"
+            f"{network.name}: {', '.join(some[:4])} have ideal switches, which only --coupling newton lands on inside a unit; "
+            "take that, or export it composed, without --as-unit"
         )
     separate = network.separate(
         PartitionedNetwork(network).holding(lambda name: coupling.nodes and schemes[name].node_values)
@@ -408,14 +436,19 @@ def coupled_members(
     for name, member in network.members.items():
         if isinstance(member, PHDAE):
             model = telling_constant(build_model(separate[name], schemes[name]))
-            members.append(EngineMember(name, model, NativeInstance(model)))
+            members.append(EngineMember(name, model, stepped(model, NativeInstance)))
             models.append(model)
         else:
             unit, _ = unit_member(name, member, step, found.get(name))
             assert isinstance(unit, FMUMember)
             members.append(unit)
             models.append(EmbeddedUnit(unit, member))
-    whole = Coupled(network, members, coupling.make)
+    try:
+        whole = Coupled(network, members, coupling.make)
+    except ValueError as error:
+        if not any(d.switches for d in network.declared.values()):
+            raise
+        raise FMUError(f"{network.name}: {error}; composed, it is exported without --as-unit") from None
     if reason := not_landed(whole):
         raise FMUError(f"{network.name}: {reason}; export it composed, without --as-unit")
     if some := whole.across():
@@ -423,6 +456,8 @@ def coupled_members(
             f"{network.name}: the jumps of {', '.join(some[:4])} move what other members share, and no impulse reaches these "
             "inside the step of one; export it composed, without --as-unit"
         )
+    if whole.switching is not None and whole.switching.model.modes is not None:
+        whole.switching.in_mode(whole.switching.model.modes.modes.start)
     whole.check_start()
     if not whole.solves_rows:  # whether outputs give the junctions their values
         whole.prepare(0.0, step)

@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from phfmu.discretise.start import Projection
     from phfmu.network.couplings.compiled.master import Master
     from phfmu.network.couplings.compiled.shares import ShareMaker
+    from phfmu.network.couplings.landing.composed_lander import ComposedLander
     from phfmu.network.couplings.stepper import Landing
     from phfmu.network.members.interpolant import Interpolant
 
@@ -140,6 +141,11 @@ class Coupled:
     def lands(self) -> bool:
         """Whether steps end on the zeros of guards, all members together."""
         return self._lander is not None
+
+    @property
+    def switching(self) -> ComposedLander | None:
+        """What all members land as, where that is their composed declaration."""
+        return self._switching
 
     @property
     def guards(self) -> int:

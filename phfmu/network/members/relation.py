@@ -43,6 +43,19 @@ def _rows(modes: Modes) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
     return equations.rows[3], equations.a, equations.u, time
 
 
+def _product(a: Array, M: Array) -> Array:
+    """a M, added term after term as compiled code does (`as_unit/runtime/relation.c`)."""
+    out = np.zeros((*a.shape[:-1], M.shape[1]))
+    for j, row in enumerate(M):
+        out = out + a[..., j, None] * row
+    return out
+
+
+def _sum(values: Array) -> float:
+    """The sum, added one after the other."""
+    return float(np.cumsum(values)[-1]) if len(values) else 0.0
+
+
 class RelationInstance(Signals):
     """Such a member as an instance that is told its values: at nodes by the interface, at instants by `tell`.
 
@@ -71,9 +84,26 @@ class RelationInstance(Signals):
         self._join()
 
     def _join(self) -> None:
-        found = np.array(self._matrix(self._p))
         #: B (na x nu) and J (na x na) in the present modes
-        self.B, self.J = found[:, : self.nu], found[:, self.nu :]
+        self.B, self.J = self.rows(self._p)
+
+    def rows(self, p: Array) -> tuple[Array, Array]:
+        """B and J under parameters p, modes among them."""
+        found = np.array(self._matrix(p))
+        return found[:, : self.nu], found[:, self.nu :]
+
+    @property
+    def modes(self) -> list[int]:
+        """Parameters that are modes of its switches."""
+        return list(self._modes.system.places)
+
+    @property
+    def given_by(self) -> list[str]:
+        """Parameters besides the modes that its rows follow from."""
+        p = self._modes.system.equations.p
+        names = [n for v in self.model.declaration.parameters for n in v.names()]
+        matrix = self._matrix(p)
+        return [n for i, n in enumerate(names) if i not in self.modes and ca.depends_on(matrix, p[i])]
 
     # -- what it is told ------------------------------------------------------------------------------------------------
 
@@ -99,13 +129,13 @@ class RelationInstance(Signals):
 
     def initialise(self) -> None:
         """Means take the values of the instant."""
-        self._mean = np.concatenate([self._a @ self.B, self._a])
+        self._mean = np.concatenate([_product(self._a, self.B), self._a])
 
     def step_exactly(self, t: float, h: float) -> None:
         """Books a step under the node inputs."""
         b, (u, a) = self.model.scheme.nodes.b, np.split(self._at_nodes, [self.nu], axis=1)
-        y = a @ self.B
-        self._pairs, self._mean = h * (b @ (u * y)), np.concatenate([b @ y, b @ a])
+        y = _product(a, self.B)
+        self._pairs, self._mean = h * _product(b, u * y), np.concatenate([_product(b, y), _product(b, a)])
         self._sums = self._sums + self._pairs
         self.time = t + h
 
@@ -128,7 +158,7 @@ class RelationInstance(Signals):
         return {"substeps": 0}
 
     def node_output(self) -> Array:
-        y = self._at_nodes[:, self.nu :] @ self.B
+        y = _product(self._at_nodes[:, self.nu :], self.B)
         return np.hstack([y, np.zeros((len(y), self.na))])
 
     def output(self) -> Array:
@@ -137,17 +167,17 @@ class RelationInstance(Signals):
     def ledger(self) -> dict[str, Array]:
         n = self.model.step.ncomp
         return dict.fromkeys(UNMOVED, np.zeros(n)) | {
-            "supplied": np.full(n, self._pairs.sum()),
+            "supplied": np.full(n, _sum(self._pairs)),
             "pairs": self._pairs.copy(),
         }
 
     def signals(self) -> dict[str, Array]:
-        n, supplied = self.model.step.ncomp, self._sums.sum()
+        n, supplied = self.model.step.ncomp, _sum(self._sums)
         y, a = np.split(self._mean, [self.nu])
         return {
             "x": self.x, "time": np.array([self.time]), "a": a, "y_step": y, "energy": self._sums,
             "supplied": np.full(n, supplied), "dissipated": np.zeros(n), "residual": np.full(n, -supplied),
-            "a_end": self._a, "y_end": self._a @ self.B, "observables": self._observed, "H": np.zeros(n),
+            "a_end": self._a, "y_end": _product(self._a, self.B), "observables": self._observed, "H": np.zeros(n),
         }  # fmt: skip
 
     def signal(self, block: str) -> Array:

@@ -15,7 +15,7 @@ import numpy as np
 
 from phfmu.report.picture.extra import require
 from phfmu.report.picture.labels import LINE, EventCluster, Label, entry, height, labels, parted
-from phfmu.report.picture.picture import COLOURS, Curve, Panel, Picture
+from phfmu.report.picture.picture import COLOURS, Panel, Picture, PlotCurve
 from phfmu.report.picture.thinning import COLUMNS, PER_COLUMN, columns_within, lean, thin
 from phfmu.report.recording import Floats, Mark
 
@@ -139,11 +139,11 @@ def fitted(panels: Sequence[Panel]) -> tuple[list[Panel], str]:
     )
 
 
-def _lean(panel: Panel, curves: Sequence[Curve], columns: int = COLUMNS) -> tuple[Curve, ...]:
+def _lean(panel: Panel, curves: Sequence[PlotCurve], columns: int = COLUMNS) -> tuple[PlotCurve, ...]:
     """Without points on a line, more of them where they are too many for the columns; on a log axis every point counts."""
     finite = [c.values[np.isfinite(c.values)] for c in curves]
     size = max((float(np.ptp(v)) for v in finite if len(v)), default=0.0)
-    found = list[Curve]()
+    found = list[PlotCurve]()
     for c in curves:
         time, values = c.time, c.values
         for coarse in () if panel.log or c.points else COARSER:
@@ -221,7 +221,7 @@ def _scale(panel: Panel) -> dict[str, Any]:
     return {"exponentformat": "power"}
 
 
-def _style(curve: Curve, log: bool = False) -> dict[str, Any]:
+def _style(curve: PlotCurve, log: bool = False) -> dict[str, Any]:
     colour = COLOURS[curve.colour]
     name = "<br>".join(map(html.escape, entry(curve.label)))
     if curve.limit:

@@ -27,7 +27,7 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#0
 
 
 @dataclass(frozen=True)
-class Curve:
+class PlotCurve:
     """Points to draw, thinned; `colour` is an index of `COLOURS`, `dash` counts the lines of that colour on the axis.
 
     `band`: times, smallest and largest values of what swings too fast to be seen as a line.  `points`: no line through them.
@@ -52,10 +52,10 @@ class Panel:
 
     title: str
     unit: str
-    curves: tuple[Curve, ...]
+    curves: tuple[PlotCurve, ...]
     log: bool = False
     whole: bool = False
-    near: tuple[Curve, ...] = ()
+    near: tuple[PlotCurve, ...] = ()
     reach: tuple[float, float] | None = None
 
 
@@ -147,12 +147,14 @@ def panel(title: str, signals: Sequence[Signal], events: Sequence[float] = ()) -
     factor, text = (1.0, unit or "") if log else scaled(size, unit)
     paces = [0.0 if log or s.points else _pace(s.values, size) for s in signals]
     span = periods(signals[0].time, min(p for p in paces if p), sorted(events)) if any(paces) else None
-    curves, near, lines = list[Curve](), list[Curve](), dict[int, int]()
+    curves, near, lines = list[PlotCurve](), list[PlotCurve](), dict[int, int]()
     for i, (s, pace) in enumerate(zip(signals, paces, strict=True)):
         time, values = _highest(s) if log else thin(s.time, s.values)
         colour = (i if s.owner is None else s.owner) % len(COLOURS)
         edges = band(s.time, s.values * factor, pace) if pace else None
-        curve = Curve(s.label or s.name, time, values * factor, colour, lines.get(colour, 0), s.limit, edges, s.points)
+        curve = PlotCurve(
+            s.label or s.name, time, values * factor, colour, lines.get(colour, 0), s.limit, edges, s.points
+        )
         curves.append(curve)
         if span:
             part = clipped(s, span)
@@ -208,14 +210,14 @@ def _highest(s: Signal) -> tuple[Floats, Floats]:
     return s.time, size
 
 
-def _reach(curves: Sequence[Curve]) -> tuple[float, float] | None:
+def _reach(curves: Sequence[PlotCurve]) -> tuple[float, float] | None:
     """The smallest and the largest value, at most `DECADES` apart; None where there is none."""
     parts = [c.values[np.isfinite(c.values)] for c in curves]
     there = np.concatenate(parts)
     return (max(float(there.min()), float(there.max()) * 10.0**-DECADES), float(there.max())) if len(there) else None
 
 
-def _below(curves: Sequence[Curve], least: float) -> bool:
+def _below(curves: Sequence[PlotCurve], least: float) -> bool:
     return any(bool((c.values < least).any()) for c in curves)
 
 

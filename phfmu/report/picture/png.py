@@ -8,7 +8,7 @@ import numpy as np
 
 from phfmu.report.picture.extra import require
 from phfmu.report.picture.labels import EventCluster, Label, entry, height, labels, parted
-from phfmu.report.picture.picture import COLOURS, Curve, Panel, Picture
+from phfmu.report.picture.picture import COLOURS, Panel, Picture, PlotCurve
 from phfmu.report.picture.prefix import scaled
 from phfmu.report.recording import Mark
 
@@ -85,7 +85,7 @@ def _heights(drawn: Picture, rows: int, columns: int) -> list[int]:
     return [max(HEIGHT, 30 + ENTRY * max(entries[i * columns : (i + 1) * columns])) for i in range(rows)]
 
 
-def _panel(ax: Any, panel: Panel, curves: tuple[Curve, ...]) -> None:
+def _panel(ax: Any, panel: Panel, curves: tuple[PlotCurve, ...]) -> None:
     """Curves on their axis; the higher bands lie below."""
     from matplotlib.ticker import MaxNLocator
 
@@ -153,7 +153,7 @@ def _times(ax: Any, span: tuple[float, float], last: bool) -> None:
         ax.set_xlabel(f"time [{unit}]")
 
 
-def _style(curve: Curve, log: bool = False) -> dict[str, Any]:
+def _style(curve: PlotCurve, log: bool = False) -> dict[str, Any]:
     colour = COLOURS[curve.colour]
     if curve.limit:
         return {"color": colour, "ls": (0, (4, 3)), "lw": 0.8, "alpha": 0.8}

@@ -9,7 +9,10 @@
 void *ph_lander_make(struct ph_whole *w, const ph_lander *about);
 void ph_lander_release(void *of);
 int ph_lander_land(void *of, double t, double h, int n);
-double *ph_lander_rates(const void *of);
+size_t ph_lander_state_size(const void *of);
+void ph_lander_save(const void *of, void *out);
+int ph_lander_load(void *of, const void *from);
+const char *ph_lander_fault(const void *of, const void *from);
 const ph_event_refusal *ph_lander_refusal(const void *of);
 
 #endif

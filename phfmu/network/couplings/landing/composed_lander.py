@@ -20,6 +20,7 @@ from phfmu.discretise.within import polynomial_of
 from phfmu.engine.native.native import NativeInstance
 from phfmu.engine.native.native_landing import StepCallbacks
 from phfmu.engine.switched import SwitchedInstance, stepped
+from phfmu.events.modes import Mode
 from phfmu.network.couplings.coupling import AllSteps
 from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.network.interface.coupled_members import CoupledMembers
@@ -52,9 +53,18 @@ class ComposedState:
         return np.concatenate([getattr(m.instance, what) for m in self.members])
 
     @property
+    def unfed(self) -> NDArray[np.intp]:
+        """Places of the inputs that nothing feeds."""
+        return np.flatnonzero(self.joined.face.column < 0)
+
+    @property
     def free(self) -> Array:
         """Inputs that nothing feeds."""
-        return self.joined.free[self.joined.face.column < 0]
+        return self.joined.free[self.unfed]
+
+    def parameters(self, p: Array) -> Iterator[Array]:
+        """Those of each member."""
+        return (p[a:b] for a, b in pairwise(self._p))
 
     @property
     def substeps(self) -> int:
@@ -104,6 +114,7 @@ class ComposedLander:
         self._steps, self._in_parts, self._saved = steps, 0, steps.save()
         k = self.members_state.members[0].model.step.k
         model = build_model(joined.network.compose(), Collocated(k))
+        self.model: Any = model
         #: the composed declaration, in compiled code: it is asked for guards, modes and jumps, and takes no step
         self._whole: Any = stepped(model, NativeInstance)
         self._composed = Monolithic(model, self._whole)
@@ -120,11 +131,12 @@ class ComposedLander:
             self._whole.native.lend(self)
         names = [n for v in model.declaration.algebraics for n in v.names()]
         at = {n: i for i, n in enumerate(names)}
-        #: among the algebraic variables of the composed declaration: those of junctions, then those of relations
         self._junction = np.array([at[n] for n in joined.face.names], int)
-        self._columns = np.array([at[n] for n in exchange.names], int)
+        #: among the algebraic variables of the composed declaration: those of junctions, then those of relations
+        self.columns = np.array([at[n] for n in exchange.names], int)
         observed = {n: i for i, n in enumerate(model.observable_names)}
-        self._told = [
+        #: relations, with their algebraic variables and observables among those of the composed declaration
+        self.told = [
             (m.instance, np.array([at[f"{m.name}.{n}"] for n in m.instance.names], int),
              np.array([observed[f"{m.name}.{n}"] for n in m.model.observable_names], int))
             for m in self.members_state.members if isinstance(m.instance, RelationInstance)
@@ -253,16 +265,25 @@ class ComposedLander:
 
     def _enter(self) -> None:
         """The rows of relations in the present modes."""
-        if self._whole.model.modes is None:
-            return
-        places = {int(c): i for i, c in enumerate(self._columns)}
-        modes = self._whole.model.modes.modes
+        if self._whole.model.modes is not None:
+            self._join(self._whole.mode)
+
+    def _join(self, mode: Mode) -> None:
+        places = {int(c): i for i, c in enumerate(self.columns)}
         self._exchange.relations.undetermined = [
-            replace(u, at=places[u.at], row=u.row[self._columns])
-            for u in modes.system.undetermined(self._whole.mode) if u.at in places
+            replace(u, at=places[u.at], row=u.row[self.columns])
+            for u in self.model.modes.modes.system.undetermined(mode) if u.at in places
         ]  # fmt: skip
         self._exchange.join()
         self._joined_anew()
+
+    def in_mode(self, mode: Mode) -> None:
+        """The rows of relations are those of a mode of all switches, which the states need not be in."""
+        p = self.model.modes.modes.system.in_mode(self._whole.parameters, mode)
+        for m, own in zip(self.members_state.members, self.members_state.parameters(p), strict=True):
+            if isinstance(m.instance, RelationInstance):
+                m.instance.set_parameters(own)
+        self._join(mode)
 
     def tell(self) -> None:
         """Tells all members their inputs, and relations their values, at the present time."""
@@ -270,5 +291,5 @@ class ComposedLander:
         #: junction unknowns at that instant
         self.xi = now["a_end"][self._junction]
         self.members_state.joined.apply(self.xi)
-        for instance, a, observed in self._told:
+        for instance, a, observed in self.told:
             instance.tell(t, now["a_end"][a], now["observables"][observed])

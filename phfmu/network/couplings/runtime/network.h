@@ -60,21 +60,48 @@ typedef struct ph_network_member {
     const ph_room *rooms; /* nroom + nnative */
 } ph_network_member;
 
-/* State events of members that all land on together (as_unit/runtime/network_lander.c). */
+/* State events of members that all land on together (as_unit/runtime/network_lander.c), or as one composed
+ * declaration (composed_lander.c). */
 struct ph_whole;
+struct ph_composed;
 typedef struct ph_lander {
-    const ph_model *model; /* of the members with events, side by side */
+    const ph_model *model; /* of the members with events, side by side, or of all members, composed */
     const struct ph_events *events;
     const char *const *names; /* of the guards */
     int n;
     const int *members;                 /* n */
-    const struct ph_events *const *own; /* n: their events, which are those of the model in this order */
+    const struct ph_events *const *own; /* n: their events, which are those of the model in this order; of a
+                                           composed declaration the polynomials of members with states */
+    const struct ph_composed *composed; /* NULL: they land side by side */
     void *(*make)(struct ph_whole *w, const struct ph_lander *about); /* NULL: there is no memory */
     void (*release)(void *of);
     int (*land)(void *of, double t, double h, int n); /* a communication step in n equal parts; a ph_status */
-    double *(*rates)(const void *of);                 /* events->n, with which it goes on */
+    int (*start)(void *of, double t); /* common variables and inputs before the first step; NULL: by steps */
+    int (*reset)(void *of);           /* NULL: nothing */
+    void (*clear)(void *member);      /* the ledger of a member that is no model; NULL: there is none */
+    size_t (*state_size)(const void *of); /* of what it goes on from besides the members */
+    void (*save)(const void *of, void *out);
+    int (*load)(void *of, const void *from);
+    const char *(*fault)(const void *of, const void *from); /* as ph_state_fault */
     const struct ph_event_refusal *(*refusal)(const void *of);
 } ph_lander;
+
+/* What of the master and its shares changes with the modes of ideal switches: the constant rows of the
+ * junctions, and where the entries of their matrix are. */
+typedef struct ph_junction_rows {
+    int nskew;
+    int nnz; /* 0: the rows cannot be solved, whatever the members do */
+    int capacity;
+    const int *skew_row;
+    const int *skew_col;
+    const int *skew_entry;
+    const double *skew;
+    const int *colptr;
+    const int *rowind;
+    const int *order;
+    const int *prefer;
+    const int *const *entry; /* of each share */
+} ph_junction_rows;
 
 typedef struct ph_network {
     int nmember;
@@ -98,7 +125,8 @@ typedef struct ph_network {
     const double *start;       /* master.ncolumn: what the first trial starts from */
     const double *free;        /* inputs of all members besides those of junctions, at the start */
     const ph_lander *lander;   /* NULL: members do not land together */
-    int nlanded;               /* its events */
+    int nrows;                 /* of junctions, by modes of switches; 0: they stay as they are */
+    const ph_junction_rows *rows;
     int njunction;
     const int *junction; /* njunction+1: where the pairs of each begin */
     const int *pair;     /* places among the pairs of all members */

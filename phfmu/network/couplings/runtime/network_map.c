@@ -51,6 +51,8 @@ static int reset(void *of) {
     for (int i = 0; i < w->held.n; i++)
         if (w->held.taken[i] >= 0)
             take_start(w, i);
+    if (status == PH_OK && w->lander && n->lander->reset)
+        status = n->lander->reset(w->lander);
     return status;
 }
 
@@ -130,6 +132,31 @@ int ph_whole_present(ph_whole *w, const double *begin) {
     return status;
 }
 
+/* The matrix has other entries, and factors of its own. */
+int ph_whole_enter(ph_whole *w, int number) {
+    const ph_junction_rows *rows = &w->about->rows[number];
+    ph_master *m = &w->master;
+    if (w->about->nrows == 0 || m->colptr == rows->colptr)
+        return PH_OK;
+    if (rows->nnz == 0)
+        return PH_SINGULAR;
+    m->nskew = rows->nskew;
+    m->nnz = rows->nnz;
+    m->capacity = rows->capacity;
+    m->skew_row = rows->skew_row;
+    m->skew_col = rows->skew_col;
+    m->skew_entry = rows->skew_entry;
+    m->skew = rows->skew;
+    m->colptr = rows->colptr;
+    m->rowind = rows->rowind;
+    m->order = rows->order;
+    m->prefer = rows->prefer;
+    for (int i = 0; i < w->about->nmember; i++)
+        w->shares[i].entry = rows->entry[i];
+    ph_master_lu_init(m);
+    return PH_OK;
+}
+
 /* Held signals as their sources tell them, where no step is taken. */
 static int sample(ph_whole *w) {
     const int status = ph_held_sample(&w->master);
@@ -173,6 +200,28 @@ static int initialise_members(ph_whole *w) {
     return PH_OK;
 }
 
+/* Means of inputs are those of the instant. */
+static void begin_means(const ph_whole *w) {
+    for (int i = 0; i < w->about->nmember; i++)
+        ph_copy(w->joined + w->master.ncolumn + w->members[i].u, w->shares[i].now, w->members[i].sizes.nu);
+}
+
+/* The same as below where those who land tell the start. */
+static int begin_landed(ph_whole *w, double t) {
+    const int status = w->about->lander->start(w->lander, t);
+    if (status) {
+        w->part = w->about->nmember;
+        w->report = (ph_report){.status = status, .row = -1, .column = -1, .time = t};
+        return status;
+    }
+    ph_copy(w->joined, w->mean, w->master.ncolumn);
+    begin_means(w);
+    w->begun = 1;
+    ph_whole_gather_parameters(w);
+    ph_whole_gather(w);
+    return PH_OK;
+}
+
 /* The junctions where no step has ended, and all values under them. */
 static int initialise(void *of) {
     ph_whole *w = of;
@@ -185,6 +234,8 @@ static int initialise(void *of) {
     status = initialise_members(w);
     if (status)
         return status;
+    if (n->lander && n->lander->start)
+        return begin_landed(w, t);
     status = ph_whole_present(w, n->start);
     if (status == PH_OK)
         status = sample(w);
@@ -202,8 +253,7 @@ static int initialise(void *of) {
         status = initialise_members(w);
     if (status == PH_OK && !has_units(n))
         status = sample(w);
-    for (int i = 0; i < n->nmember; i++)
-        ph_copy(w->joined + w->master.ncolumn + w->members[i].u, w->shares[i].now, w->shares[i].nu);
+    begin_means(w);
     w->begun = status == PH_OK;
     ph_whole_gather(w);
     return status;
@@ -276,7 +326,7 @@ static void average(ph_whole *w) {
     for (int i = 0; i < w->about->nmember; i++) {
         const ph_share *s = &w->shares[i];
         for (int k = 0; k < s->k; k++)
-            for (int j = 0; j < s->nu; j++)
+            for (int j = 0; j < w->members[i].sizes.nu; j++)
                 to[w->members[i].u + j] += s->weights[k] * s->u[k * s->nu + j];
     }
 }

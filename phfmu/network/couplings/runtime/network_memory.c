@@ -77,12 +77,34 @@ static void place_members(ph_whole *w) {
     }
 }
 
+/* Of the shares, the most inputs. */
+static int widest(const ph_network *n) {
+    int most = 0;
+    for (int i = 0; i < n->nmember; i++)
+        most = n->members[i].share.nu > most ? n->members[i].share.nu : most;
+    return most;
+}
+
+/* Bytes of the factors, in all modes. */
+static size_t lu_size(const ph_network *n) {
+    const ph_master *m = &n->master;
+    const int size = m->nxi + 2 * m->nbare;
+    size_t most = ph_master_lu_size(size, m->nnz, m->capacity);
+    for (int i = 0; i < n->nrows; i++) {
+        const size_t own = ph_master_lu_size(size, n->rows[i].nnz, n->rows[i].capacity);
+        most = own > most ? own : most;
+    }
+    return most;
+}
+
 /* Values of this structure, one after the other. */
 static int lay_values(ph_whole *w) {
     const int n = w->master.ncolumn, nc = w->sizes.ncomp, all = ph_whole_njoined(w->about, w->sizes.nu);
     const size_t counts = PH_NCOUNT, row = 5 * (size_t)nc + (size_t)w->sizes.nq;
+    const int none = widest(w->about);
     const size_t size = 1 + (size_t)w->offset[PH_NBLOCK] + row + (size_t)w->sizes.np + (size_t)w->sizes.nu +
-                        (size_t)n + (size_t)all + (size_t)ph_whole_kept_size(w->about) + 2 * (size_t)nc;
+                        2 * (size_t)n + (size_t)none + (size_t)all + (size_t)ph_whole_kept_size(w->about) +
+                        2 * (size_t)nc;
     w->work = calloc(size + 1, sizeof(double));
     w->count = calloc(counts, sizeof(long long));
     if (!w->work || !w->count)
@@ -94,7 +116,9 @@ static int lay_values(ph_whole *w) {
     w->p = w->row[PH_ROW_PAIRS] + w->sizes.nq;
     w->free = w->p + w->sizes.np;
     w->mean = w->free + w->sizes.nu;
-    w->joined = w->mean + n;
+    w->begin = w->mean + n;
+    w->none = w->begin + n;
+    w->joined = w->none + none;
     w->kept = w->joined + all;
     w->happened.energy = w->kept + ph_whole_kept_size(w->about);
     w->happened.lost = w->happened.energy + nc;
@@ -106,7 +130,7 @@ static int make_master(ph_whole *w) {
     const ph_network *n = w->about;
     ph_master *m = &w->master;
     w->room = calloc(1, n->room + 1);
-    w->lu = calloc(1, ph_master_lu_size(m->nxi + 2 * m->nbare, m->nnz, m->capacity) + 1);
+    w->lu = calloc(1, lu_size(n) + 1);
     w->memory = malloc(n->memory_size + 1);
     if (!w->room || !w->lu || !w->memory)
         return 0;
@@ -127,7 +151,7 @@ static int make_master(ph_whole *w) {
             s->of = own->inside;
             s->kind = about->inside->kind(own->inside);
         }
-        s->free = w->free + own->u;
+        s->free = s->nu == own->sizes.nu ? w->free + own->u : w->none;
         s->outputs = about->held ? signals + own->offset[PH_Y_STEP] : own->map->node_outputs(own->of);
         s->energies = signals + own->offset[PH_H];
         s->end = signals + own->offset[PH_Y_END];
@@ -145,10 +169,12 @@ static int make_master(ph_whole *w) {
     m->shares = w->shares;
     m->lu = w->lu;
     ph_master_lu_init(m);
-    w->before = calloc(1, ph_whole_state_size(w));
     if (n->lander)
         w->lander = n->lander->make(w, n->lander);
-    return w->before != NULL && (w->lander || !n->lander);
+    if (n->lander && !w->lander)
+        return 0;
+    w->before = calloc(1, ph_whole_state_size(w));
+    return w->before != NULL;
 }
 
 int ph_whole_make(ph_whole *w) {

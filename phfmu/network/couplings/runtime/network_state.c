@@ -152,35 +152,43 @@ size_t ph_whole_placed_size(const ph_whole *w) {
     return ph_padded(size);
 }
 
-/* Whether values were set, and the rates of the guards. */
-static size_t landing_values(const ph_whole *w) {
-    return w->about->lander ? 1 + (size_t)w->about->nlanded : 0;
+/* Behind it, whether values were set, then what those who land go on from. */
+static size_t landing_size(const ph_whole *w) {
+    return w->lander ? ph_padded(sizeof(double)) + ph_padded(w->about->lander->state_size(w->lander)) : 0;
+}
+
+static char *landing_state(const ph_whole *w, void *state) {
+    return (char *)state + ph_whole_placed_size(w);
 }
 
 size_t ph_whole_state_size(const void *of) {
     const ph_whole *w = of;
-    return ph_whole_placed_size(w) + ph_padded(sizeof(double) * landing_values(w));
+    return ph_whole_placed_size(w) + landing_size(w);
 }
 
 int ph_whole_save(void *of, void *out) {
     ph_whole *w = of;
-    double *values = (double *)(void *)((char *)out + ph_whole_placed_size(w));
+    char *to = landing_state(w, out);
     if (w->lander) {
-        *values = w->set;
-        ph_copy(values + 1, w->about->lander->rates(w->lander), w->about->nlanded);
+        const double set = w->set;
+        memcpy(to, &set, sizeof(set));
+        w->about->lander->save(w->lander, to + ph_padded(sizeof(double)));
     }
     return ph_whole_put(w, out);
 }
 
 int ph_whole_load(void *of, const void *from) {
     ph_whole *w = of;
-    const double *values = (const double *)(const void *)((const char *)from + ph_whole_placed_size(w));
-    const int status = ph_whole_back(w, from);
+    const char *place = (const char *)from + ph_whole_placed_size(w);
+    int status = PH_OK, answer;
     if (w->lander) {
-        w->set = *values != 0.0;
-        ph_copy(w->about->lander->rates(w->lander), values + 1, w->about->nlanded);
+        double set;
+        memcpy(&set, place, sizeof(set));
+        w->set = set != 0.0;
+        status = w->about->lander->load(w->lander, place + ph_padded(sizeof(double)));
     }
-    return status;
+    answer = ph_whole_back(w, from);
+    return answer ? answer : status;
 }
 
 int ph_whole_put(ph_whole *w, void *out) {
@@ -252,10 +260,9 @@ const char *ph_whole_state_fault(const void *of, const void *from) {
             return "a value of the coupling is not finite";
     if (!ph_master_sound(&w->master, values + own_values(w)))
         return "a count or a size of the coupling is out of range";
-    values = (const double *)(const void *)((const char *)from + ph_whole_placed_size(w));
-    for (size_t i = 0; i < landing_values(w); i++)
-        if (!isfinite(values[i]))
-            return "a rate of a guard is not finite";
+    if (w->lander)
+        return w->about->lander->fault(w->lander, (const char *)from + ph_whole_placed_size(w) +
+                                                      ph_padded(sizeof(double)));
     return NULL;
 }
 

@@ -36,6 +36,8 @@ typedef struct ph_whole {
     double *p;
     double *free;
     double *mean;   /* ncolumn: of the last step, which is where the next one starts from */
+    double *begin;  /* ncolumn: at an instant */
+    double *none;   /* zeros: inputs that are not among those of a member */
     double *joined; /* see network.h */
     double *kept;   /* of the internal steps before */
     char *before;   /* a saved state */
@@ -55,12 +57,13 @@ typedef struct ph_whole {
 } ph_whole;
 
 /* network_map.c: one internal step, which begins at t + number*h; what comes is not the continuation of the
- * last step; common variables at `begin` in all of the step, signals as their sources tell them; who refused,
- * and why.
+ * last step; common variables at `begin` in all of the step, signals as their sources tell them; the rows of
+ * the junctions are number `rows` from now on; who refused, and why.
  */
 int ph_whole_step(ph_whole *w, double t, double h, int number);
 void ph_whole_changed(ph_whole *w);
 int ph_whole_present(ph_whole *w, const double *begin);
+int ph_whole_enter(ph_whole *w, int rows);
 int ph_whole_refused(ph_whole *w, int status, double t, double h);
 
 static inline void ph_copy(double *to, const double *from, int n) {
