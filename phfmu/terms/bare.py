@@ -226,12 +226,16 @@ class BareRows:
                 L = ca.vertcat(*(self.L[r][0, own] for r in touched)).T
                 hessian, gradient = ca.hessian(energies[owner], psi)
                 exprs = {"L": L, "c": -ca.mtimes(L.T, gradient), "S": ca.mtimes([L.T, hessian, L])}
+                rows = [
+                    *(RowAt(ResidualRow.BALANCE, i) for i in own),
+                    *(RowAt(ResidualRow.EQUATION, r) for r in touched),
+                ]
+                dense = {k: ca.densify(v) for k, v in exprs.items()}
                 out.append(
-                    make_term(IMPULSE, {k: ca.densify(v) for k, v in exprs.items()}, locator, "bare node",
-                              rows=[*(RowAt(ResidualRow.BALANCE, i) for i in own), *(RowAt(ResidualRow.EQUATION, r) for r in touched)],
-                      owner=owner,
-                              extra=ca.vertsplit(psi), form=remedy)
-                )  # fmt: skip
+                    make_term(
+                        IMPULSE, dense, locator, "bare node", rows=rows, owner=owner, extra=ca.vertsplit(psi), form=remedy
+                    )
+                )
         return out
 
     def _energies(self) -> dict[int, ca.SX]:
