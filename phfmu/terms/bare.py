@@ -233,7 +233,14 @@ class BareRows:
                 dense = {k: ca.densify(v) for k, v in exprs.items()}
                 out.append(
                     make_term(
-                        IMPULSE, dense, locator, "bare node", rows=rows, owner=owner, extra=ca.vertsplit(psi), form=remedy
+                        IMPULSE,
+                        dense,
+                        locator,
+                        "bare node",
+                        rows=rows,
+                        owner=owner,
+                        extra=ca.vertsplit(psi),
+                        form=remedy,
                     )
                 )
         return out
