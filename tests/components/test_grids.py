@@ -228,7 +228,7 @@ def test_controllers_of_the_tables_begin_at_what_the_power_flow_asks(name: str) 
 
 
 def test_exciters_meet_and_leave_their_limits_in_a_fault_and_the_nodes_of_machines_hold() -> None:
-    """39 buses: the field voltage of machine 31 as a prototype of its own found it, those at their limit stay at exactly that,
+    """39 buses: the field voltage of machine 31 as a prototype of its own found it, those at their limit stay at that to rounding,
     and Kirchhoff's law holds at the bare nodes where the meters stand."""
     s = grid_scene(public_grid("ieee39"), faults=[Fault(16, 0.1, 0.2)], stop=0.3)
     unit = NativeInstance(build_model(s.declaration(), Collocated(1)))
@@ -236,7 +236,7 @@ def test_exciters_meet_and_leave_their_limits_in_a_fault_and_the_nodes_of_machin
     assert r.ledger.summary().closed
     assert r.column("avr31.Efd")[0] == pytest.approx(2.0731, abs=1e-4)
     assert r.column("avr31.Efd").max() == pytest.approx(2.826, abs=1e-3)
-    limited = [n for n in (33, 35, 36) if r.column(f"avr{n}.Efd").max() == 3.0]
+    limited = [n for n in (33, 35, 36) if abs(r.column(f"avr{n}.Efd").max() - 3.0) <= 4 * np.spacing(3.0)]
     assert limited == [33, 35, 36]
     kirchhoff = np.abs(unit.signal("observables")[-len(unit.model.checks) :])
     assert (kirchhoff <= 1e-12 * np.array(unit.model.check_scale)).all()
