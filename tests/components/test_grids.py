@@ -228,7 +228,7 @@ def test_controllers_of_the_tables_begin_at_what_the_power_flow_asks(name: str) 
 
 
 def test_exciters_meet_and_leave_their_limits_in_a_fault_and_the_nodes_of_machines_hold() -> None:
-    """39 buses: the field voltage of machine 31 as a prototype of its own found it, those at their limit stay at that to rounding,
+    """39 buses: the field voltage of machine 31 as a prototype found it, those at their limit stay at that to rounding,
     and Kirchhoff's law holds at the bare nodes where the meters stand."""
     s = grid_scene(public_grid("ieee39"), faults=[Fault(16, 0.1, 0.2)], stop=0.3)
     unit = NativeInstance(build_model(s.declaration(), Collocated(1)))
