@@ -208,15 +208,22 @@ class ComposedLander:
         """To where the last step began."""
         self._steps.restore(self._saved)
 
-    def get_state(self) -> tuple[Any, Array]:
-        """State of the composed declaration, and the junction unknowns of the present instant."""
-        return self._whole.get_state(), self.xi
+    def get_state(self) -> tuple[Any, Array, Array]:
+        """State of the composed declaration, rates of its guards, and the junction unknowns of the present instant."""
+        return self._whole.get_state(), self._rates.copy(), self.xi
 
-    def set_state(self, state: tuple[Any, Array]) -> None:
+    def set_state(self, state: tuple[Any, Array, Array]) -> None:
         """Goes on from what `get_state` gave, once the members are where they were then."""
-        whole, self.xi = state
+        whole, rates, self.xi = state
         self._whole.set_state(whole)
+        self._rates[:] = rates
         self._enter()
+
+    @property
+    def _rates(self) -> Array:
+        """|d guard / dt| where the present instant was reached, by which a guard that was landed on is zero."""
+        whole = self._whole if self._whole.model.modes is None else self._whole.present
+        return whole.landing[0].rates
 
     def begin(self, h: float) -> Array:
         """Junction unknowns at the start of a run with steps of about h, in the modes that it starts with."""
