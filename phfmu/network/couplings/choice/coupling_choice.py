@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-from phfmu.network.couplings.coupling import Coupling, solves_rows
 from phfmu.network.couplings.coupling_table import COUPLINGS, GAUSS_SEIDEL, MONOLITHIC, NEWTON, CouplingRow
-from phfmu.network.couplings.unconverged import POLICIES
-from phfmu.network.interface.coupled_members import CoupledMembers
 from phfmu.network.network import Network
 from phfmu.words import meant
+
+if TYPE_CHECKING:
+    from phfmu.network.couplings.coupling import Coupling
+    from phfmu.network.interface.coupled_members import CoupledMembers
 
 
 @dataclass(frozen=True)
@@ -37,6 +39,10 @@ def named_coupling(
     sequence:  of the members, for those that step in turn;  unconverged:  raise | halve | accept, for couplings that iterate
     Errors: ValueError for what does not go together.
     """
+    # composed networks, which ask for their coupling too, need neither
+    from phfmu.network.couplings.coupling import solves_rows
+    from phfmu.network.couplings.unconverged import POLICIES
+
     rows = {row.name: row for row in COUPLINGS.values() if row.apart}
     if name not in rows:
         raise ValueError(f"no coupling '{name}' of members; {meant(name, rows)}")
