@@ -83,7 +83,8 @@ def relative(one, two, names, least=0.0):
 
 #: multipliers of flyball are small differences of the forces of stiff springs and dampers, which Newton's method rounds
 #: the arm falls without friction, and turns over: forces in its joints part sooner than its motion
-FAR = {"flyball": 1e-5, "ur5": 1e-10}
+#: the capacitance of inrush takes 9 A, the difference of currents of 400 A that leap at the knee of the iron
+FAR = {"flyball": 1e-5, "ur5": 1e-10, "inrush": 1e-10}
 MECHANISMS = ("pendulum", "four_bar", "andrews", "bricard", "flyball", "slider_crank", "rope_bridge", "gear_train")
 RECORD = ("signals", "stored", "dissipated", "supplied", "pairs", "energy")
 
