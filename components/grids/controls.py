@@ -32,6 +32,22 @@ class MachineSetpoints:
     unused: list[str] = field(default_factory=list)
 
 
+@dataclass(frozen=True)
+class ControlledMachine:
+    """The machine `name` at a bus with its voltage at an angle, which delivers `power` [1] of its rating."""
+
+    name: str
+    base: Bases
+    bus: Bus
+    angle: float
+    power: float
+
+    @property
+    def label(self) -> str:
+        """The end of its name, which its controllers have too."""
+        return self.name.removeprefix("gen")
+
+
 class Controllers:
     """Adds to a network the controllers that the dynamic data name: one meter for each bus whose voltage they read."""
 
@@ -50,84 +66,53 @@ class Controllers:
         """
         found = {d.model: d for d in self.data.get((bus.number, unit), ())}
         out = MachineSetpoints([f"{name}.field.v", f"{name}.shaft.torque"])
-        label = name.removeprefix("gen")
-        base = bases(machine)
+        m = ControlledMachine(name, bases(machine), bus, angle, power)
         for kind, models in KINDS.items():
-            there = [m for m in models if m in found]
+            there = [model for model in models if model in found]
             if len(there) > 1:
                 where = f"bus {bus.number}, machine '{unit}'"
                 raise GridError(where, [f"{' and '.join(there)} are both a {kind}; leave one of them out"])
             if there:
                 make = {"exciter": self._exciter, "governor": self._governor, "stabiliser": self._stabiliser}[kind]
-                make(name, label, found[there[0]], base, bus, angle, power, out)
+                make(m, found[there[0]], out)
         return out
 
-    def _exciter(
-        self,
-        name: str,
-        label: str,
-        d: Dynamics,
-        base: Bases,
-        bus: Bus,
-        angle: float,
-        power: float,
-        out: MachineSetpoints,
-    ) -> None:
+    def _exciter(self, m: ControlledMachine, d: Dynamics, out: MachineSetpoints) -> None:
         v = d.values
-        avr = f"avr{label}"
+        avr = f"avr{m.label}"
         self.net.add(avr, sexs(TA=v["TA_TB"] * v["TB"], TB=v["TB"], K=v["K"], TE=v["TE"], EMIN=v["Emin"], EMAX=v["Emax"],
-                               base=base))  # fmt: skip
-        measured = f"meter{bus.number}"
+                               base=m.base))  # fmt: skip
+        measured = f"meter{m.bus.number}"
         if measured not in self.net.members:
-            self.net.add(measured, meter(bus.kv * 1e3, base.Sn, self.frequency, frequency=False, angle=angle))
+            self.net.add(measured, meter(m.bus.kv * 1e3, m.base.Sn, self.frequency, frequency=False, angle=m.angle))
         self.wires.append((f"{measured}.voltage", f"{avr}.V"))
-        self.wires.append((f"{avr}.field", f"{name}.field.v"))
+        self.wires.append((f"{avr}.field", f"{m.name}.field.v"))
         out.free[0] = f"{avr}.Vref"
         out.used.append(d.model)
         out.assumed.append("voltage measured at its bus with a lag of 0.02 s")
 
-    def _governor(
-        self,
-        name: str,
-        label: str,
-        d: Dynamics,
-        base: Bases,
-        bus: Bus,
-        angle: float,
-        power: float,
-        out: MachineSetpoints,
-    ) -> None:
-        gov, values = f"gov{label}", dict(d.values)
-        for limit, least in _least(d.model, values, power).items():
+    def _governor(self, m: ControlledMachine, d: Dynamics, out: MachineSetpoints) -> None:
+        gov, values = f"gov{m.label}", dict(d.values)
+        for limit, least in _least(d.model, values, m.power).items():
             if values[limit] < least:
                 out.assumed.append(f"{d.model}: {limit} raised to what the solved case needs")
                 values[limit] = ROOM * least
-        self.net.add(gov, GOVERNORS[d.model](values, base))
-        self.wires.append((f"{name}.shaft.speed", f"{gov}.w"))
-        self.wires.append((f"{gov}.torque", f"{name}.shaft.torque"))
+        self.net.add(gov, GOVERNORS[d.model](values, m.base))
+        self.wires.append((f"{m.name}.shaft.speed", f"{gov}.w"))
+        self.wires.append((f"{gov}.torque", f"{m.name}.shaft.torque"))
         out.free[1] = f"{gov}.{'nref' if d.model == 'HYGOV' else 'Pref'}"
         out.used.append(d.model)
 
-    def _stabiliser(
-        self,
-        name: str,
-        label: str,
-        d: Dynamics,
-        base: Bases,
-        bus: Bus,
-        angle: float,
-        power: float,
-        out: MachineSetpoints,
-    ) -> None:
+    def _stabiliser(self, m: ControlledMachine, d: Dynamics, out: MachineSetpoints) -> None:
         if not out.free[0].startswith("avr"):
             out.unused.append(f"{d.model}: there is no exciter for its signal")
             return
         values = {k: x for k, x in d.values.items() if k not in ("VCU", "VCL", "LSmax", "LSmin")}
-        pss = f"pss{label}"
-        self.net.add(pss, ieeest(**values, LSMAX=d.values["LSmax"], LSMIN=d.values["LSmin"], rest=1.0, u_base=base.speed,
+        pss = f"pss{m.label}"
+        self.net.add(pss, ieeest(**values, LSMAX=d.values["LSmax"], LSMIN=d.values["LSmin"], rest=1.0, u_base=m.base.speed,
                                  unit="rad/s"))  # fmt: skip
-        self.wires.append((f"{name}.shaft.speed", f"{pss}.u"))
-        self.wires.append((f"{pss}.Vs", f"avr{label}.Vs"))
+        self.wires.append((f"{m.name}.shaft.speed", f"{pss}.u"))
+        self.wires.append((f"{pss}.Vs", f"avr{m.label}.Vs"))
         out.used.append(d.model)
         out.assumed.append("stabiliser of the speed")
         if d.values["VCU"] or d.values["VCL"]:

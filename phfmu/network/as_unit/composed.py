@@ -139,7 +139,7 @@ class ComposedEvents:
         return f"    .lander = &lander,\n{rows}"
 
     def relation_text(self, i: int) -> str:
-        """What defines `relation<i>`, the ph_embedded of member number i."""
+        """C text that defines `relation<i>`, the ph_embedded of member number i."""
         r = self.relations[i]
         _, at, observed = next(t for t in self._landing.told if t[0] is r)
         places, p = r.modes, r.parameters
@@ -170,7 +170,7 @@ class ComposedEvents:
         return f"{text}{about}static const ph_embedded relation{i} = {{{parts}}};\n"
 
     def text(self) -> str:
-        """What defines `lander`, a ph_lander, and the rows of the junctions."""
+        """C text that defines `lander`, a ph_lander, and the rows of the junctions."""
         events = self.model.events
         assert events is not None
         members = range(len(self.models))

@@ -144,7 +144,7 @@ class Coupled:
 
     @property
     def switching(self) -> ComposedLander | None:
-        """What all members land as, where that is their composed declaration."""
+        """The lander of all members as their composed declaration, if they land so."""
         return self._switching
 
     @property

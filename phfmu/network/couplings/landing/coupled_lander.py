@@ -132,22 +132,20 @@ class CoupledLander:
         """Events of members at once, as one event."""
         found = np.zeros((2, len(self._joined.booking.components)))
         fired, rests, p, struck = self._struck(t, found)
-        for i, (m, place) in enumerate(zip(self.members, self._guards, strict=True)):
-            own = [e - place.start for e in fired if place.start <= e < place.stop]
-            if not own:
-                continue
-            if i not in struck and _moves(m, own):
+        own, still, told = self._of(fired), self._of(rests), list[StepEvent]()
+        for i, events in own.items():
+            m = self.members[i]
+            if i not in struck and _moves(m, events):
                 m.instance.set_x(t, self._whole.x[self._x[i]])
             m.instance.set_parameters(p[self._p[i]])
             m.instance.initialise()
         self._whole.set_x(t, self.x)
         self._whole.set_parameters(p)
         self.last = fired, rests
-        self.anew |= {self.members[i].name for i in self._of(fired)}
-        told = list[StepEvent]()
-        for i, own in self._of(fired).items():
-            of, still = self._joined.components(self.members[i].name), self._of(rests).get(i, [])
-            record = EventRecord(t, tuple(own), tuple(still), found[0, of], found[1, of], np.zeros(0))
+        self.anew |= {self.members[i].name for i in own}
+        for i, events in own.items():
+            of = self._joined.components(self.members[i].name)
+            record = EventRecord(t, tuple(events), tuple(still.get(i, ())), found[0, of], found[1, of], np.zeros(0))
             told.append(self._words[i].told(record))
         names, messages = ", ".join(e.names for e in told), "; ".join(e.message for e in told)
         return StepEvent(t, found[0], found[1], names, messages)
@@ -163,7 +161,6 @@ class CoupledLander:
         found: energies got and lost by component of the network.  A jump that acts on other members takes place in one system
         with all that these act on.
         """
-        numbers = [self._joined.members.index(m) for m in self.members]
         self.anew = set()
         if not any(self._shared.of.get(m.name) for m in self.members):
             self._book(found, self._landing.jump(self._check), set())
@@ -171,6 +168,7 @@ class CoupledLander:
         self._landing.decide(self._check)
         fired, rests, p = self._landing.decided
         own, still = self._of(fired), self._of(rests)
+        numbers = [self._joined.members.index(m) for m in self.members]
         start = [
             numbers[i] for i, e in own.items() if not self._shared.of.get(self.members[i].name, _NONE).isdisjoint(e)
         ]
