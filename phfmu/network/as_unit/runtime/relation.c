@@ -5,6 +5,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "network_whole.h"
 #include "system.h"
 
 typedef struct relation {
@@ -22,11 +23,6 @@ typedef struct relation {
 
 static double *block(const relation *r, int b) {
     return r->table + r->offset[b];
-}
-
-static void copy(double *to, const double *from, int n) {
-    if (n > 0)
-        memcpy(to, from, sizeof(double) * (size_t)n);
 }
 
 /* B in the present mode. */
@@ -91,7 +87,7 @@ static int step(const ph_share *s, double t, double h) {
     const ph_relation *about = r->about;
     const int nu = about->nu, width = nu + about->na, nc = about->ncomp;
     double *pairs = r->row[PH_ROW_PAIRS], *mean = block(r, PH_Y_STEP), *a = block(r, PH_A), supplied;
-    copy(r->u, s->u, about->k * width);
+    ph_copy(r->u, s->u, about->k * width);
     ph_relation_clear(r);
     ph_clear(mean, nu);
     ph_clear(a, about->na);
@@ -149,8 +145,8 @@ static int reset(void *of) {
     const double t = *block(r, PH_TIME);
     ph_clear(r->table, r->n);
     *block(r, PH_TIME) = t;
-    copy(r->p, r->about->p, r->about->np);
-    copy(block(r, PH_A_END), r->about->a, r->about->na);
+    ph_copy(r->p, r->about->p, r->about->np);
+    ph_copy(block(r, PH_A_END), r->about->a, r->about->na);
     present(r);
     return PH_OK;
 }
@@ -187,8 +183,8 @@ static void release(void *of) {
 /* Means take the values of the instant. */
 static int initialise(void *of) {
     const relation *r = of;
-    copy(block(r, PH_Y_STEP), block(r, PH_Y_END), r->about->nu);
-    copy(block(r, PH_A), block(r, PH_A_END), r->about->na);
+    ph_copy(block(r, PH_Y_STEP), block(r, PH_Y_END), r->about->nu);
+    ph_copy(block(r, PH_A), block(r, PH_A_END), r->about->na);
     return PH_OK;
 }
 
@@ -212,7 +208,7 @@ static int set_parameters(void *of, const double *p) {
     for (int i = 0; i < r->about->np; i++)
         if (!isfinite(p[i]))
             return PH_VALUE;
-    copy(r->p, p, r->about->np);
+    ph_copy(r->p, p, r->about->np);
     present(r);
     return PH_OK;
 }
@@ -268,9 +264,9 @@ static int rows(const relation *r) {
 
 static void keep_rows(const void *of, double *kept) {
     const relation *r = of;
-    copy(kept, r->row[0], rows(r));
-    copy(kept + rows(r), block(r, PH_Y_STEP), r->about->nu);
-    copy(kept + rows(r) + r->about->nu, block(r, PH_A), r->about->na);
+    ph_copy(kept, r->row[0], rows(r));
+    ph_copy(kept + rows(r), block(r, PH_Y_STEP), r->about->nu);
+    ph_copy(kept + rows(r) + r->about->nu, block(r, PH_A), r->about->na);
 }
 
 static void mean(double *to, const double *kept, int n, double part) {
@@ -345,13 +341,13 @@ const ph_step_map *ph_map_relation(void) {
 
 static int keep(const ph_share *s) {
     const relation *r = s->of;
-    copy(r->kept, r->table, r->n);
+    ph_copy(r->kept, r->table, r->n);
     return PH_OK;
 }
 
 static int restore(const ph_share *s) {
     const relation *r = s->of;
-    copy(r->table, r->kept, r->n);
+    ph_copy(r->table, r->kept, r->n);
     return PH_OK;
 }
 
